@@ -1,0 +1,1 @@
+//! The passes that bake and fit need.

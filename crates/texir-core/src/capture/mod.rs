@@ -1,0 +1,105 @@
+//! A capture: a mesh, posed HDR views, and what is known about them. One file per format; [`load`] finds the right one.
+
+use std::path::PathBuf;
+
+use crate::camera::Camera;
+use crate::mesh::Mesh;
+use crate::raster::{Gray, Raster, Rgb};
+
+/// What a view is used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// The fit sees it.
+    Train,
+    /// Held out: novel-view evaluation.
+    Novel,
+}
+
+/// A posed image and the images that annotate it. Pixels are read when asked for: a capture may not fit in memory.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// File stem, unique within the capture.
+    pub name: String,
+    /// Pose and projection.
+    pub camera: Camera,
+    /// Training or held out.
+    pub split: Split,
+    /// Linear radiance.
+    pub image: PathBuf,
+    /// Semantic class per pixel; 0 is "unknown".
+    pub semantic: Option<PathBuf>,
+    /// Pixels to use (non-zero); excludes emitters, the rig, misses.
+    pub mask: Option<PathBuf>,
+    /// Room id per pixel; 0 is "unknown".
+    pub room: Option<PathBuf>,
+    /// Room id of the whole view, when given.
+    pub room_id: Option<u16>,
+    /// Ground-truth albedo, linear.
+    pub albedo: Option<PathBuf>,
+    /// Ground-truth perceptual roughness.
+    pub roughness: Option<PathBuf>,
+}
+
+/// Texture-based lighting: the mesh's outgoing radiance in its atlas.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tbl {
+    /// Linear radiance per texel; 0 outside the charts.
+    pub radiance: Rgb,
+    /// How each texel came to be known.
+    pub coverage: Raster<Coverage>,
+}
+
+/// How a TBL texel came to be known. Stored as a grey level: 255, 128, 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coverage {
+    /// Seen by at least one view.
+    Seen,
+    /// Filled from its neighbours.
+    Inpainted,
+    /// Outside the charts.
+    Outside,
+}
+
+/// Ground-truth textures in the capture's atlas, where there are any.
+#[derive(Clone, Debug)]
+pub struct Truth {
+    /// Linear albedo.
+    pub albedo: Rgb,
+    /// Perceptual roughness.
+    pub roughness: Gray,
+}
+
+/// A capture folder, validated.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// The folder.
+    pub root: PathBuf,
+    /// The mesh file that was read.
+    pub mesh_path: PathBuf,
+    /// The mesh with its atlas.
+    pub mesh: Mesh,
+    /// All views, training and novel.
+    pub views: Vec<View>,
+    /// `hdr_texture.exr`, when given; otherwise it is built from the views.
+    pub tbl: Option<Tbl>,
+    /// Ground-truth textures, when given.
+    pub truth: Option<Truth>,
+    /// Known emission per texel, when given.
+    pub emission: Option<Rgb>,
+}
+
+/// Overrides of what is found in the folder.
+#[derive(Clone, Debug, Default)]
+pub struct LoadOptions {
+    /// Use this mesh instead of the folder's.
+    pub mesh: Option<PathBuf>,
+    /// Use this HDR texture instead of the folder's.
+    pub tbl: Option<PathBuf>,
+}
+
+impl Capture {
+    /// The views of one split.
+    pub fn views(&self, split: Split) -> impl Iterator<Item = &View> {
+        self.views.iter().filter(move |v| v.split == split)
+    }
+}

@@ -1,0 +1,1 @@
+//! Image files in and out: OpenEXR, Radiance HDR, PNG.

@@ -1,0 +1,26 @@
+//! texir without a GPU dependency: captures, the BRDF and its adjoints, the fit, and the CPU twin of every kernel.
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod backend;
+pub mod brdf;
+pub mod camera;
+pub mod capture;
+pub mod cpu;
+pub mod demo;
+pub mod error;
+pub mod eval;
+pub mod fit;
+pub mod glb;
+pub mod image_io;
+pub mod mesh;
+pub mod mesh_io;
+pub mod metrics;
+pub mod progress;
+pub mod raster;
+pub mod real;
+pub mod rng;
+pub mod rooms;
+pub mod scene;
+pub mod surface;
+pub mod tbl;
+pub mod texture;

@@ -1,0 +1,57 @@
+//! The triangle mesh of the whole scene with its one texture atlas.
+
+use glam::{Vec2, Vec3};
+
+/// An indexed triangle mesh. World space, metres, right-handed. Texture origin top left (v down, as in glTF).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions.
+    pub positions: Vec<Vec3>,
+    /// Unit shading normals, one per vertex.
+    pub normals: Vec<Vec3>,
+    /// Atlas coordinates in [0, 1]², one per vertex.
+    pub uvs: Vec<Vec2>,
+    /// Vertex indices, counter-clockwise seen from the front.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// The three corners of a triangle.
+    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|i| self.positions[i as usize])
+    }
+
+    /// The three atlas coordinates of a triangle.
+    pub fn corner_uvs(&self, triangle: u32) -> [Vec2; 3] {
+        self.triangles[triangle as usize].map(|i| self.uvs[i as usize])
+    }
+
+    /// The three shading normals of a triangle.
+    pub fn corner_normals(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|i| self.normals[i as usize])
+    }
+
+    /// Unit geometric normal; zero for a degenerate triangle.
+    pub fn face_normal(&self, triangle: u32) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// Axis-aligned bounds `(min, max)`.
+    pub fn bounds(&self) -> (Vec3, Vec3) {
+        self.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p), hi.max(p)))
+    }
+
+    /// Replaces `normals` by the face normals, splitting shared vertices: flat shading.
+    pub fn flat_normals(&mut self) {
+        let mut flat = Mesh::default();
+        for t in 0..self.triangles.len() as u32 {
+            let base = flat.positions.len() as u32;
+            flat.positions.extend(self.corners(t));
+            flat.uvs.extend(self.corner_uvs(t));
+            flat.normals.extend([self.face_normal(t); 3]);
+            flat.triangles.push([base, base + 1, base + 2]);
+        }
+        *self = flat;
+    }
+}

@@ -1,0 +1,1 @@
+//! Image quality: MSE, PSNR, SSIM.

@@ -1,0 +1,35 @@
+//! Progress and cancellation of long work: the library reports, the host program shows and stops.
+
+use crate::error::{Error, Result};
+
+/// Receives progress of long work and answers whether to go on. All methods may be called from any thread.
+pub trait Progress: Sync {
+    /// A task of `total` units begins (rays, steps, texels: `unit` says which).
+    fn start(&self, task: &str, total: u64, unit: &str);
+    /// `done` further units of the current task are finished.
+    fn advance(&self, done: u64);
+    /// The current task ended.
+    fn finish(&self);
+    /// A warning that the user must see.
+    fn warn(&self, message: &str);
+    /// True once the user asked to stop.
+    fn cancelled(&self) -> bool;
+
+    /// [`Error::Cancelled`] once the user asked to stop.
+    fn check(&self) -> Result<()> {
+        if self.cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// Shows nothing and never cancels.
+pub struct Silent;
+
+impl Progress for Silent {
+    fn start(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, _: &str) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,60 @@
+//! Two-dimensional arrays: images, atlases, masks and label maps.
+
+use crate::error::{Error, Result};
+
+/// A row-major `height × width` array, row 0 on top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Raster<T> {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `height · width` values, row by row.
+    pub data: Vec<T>,
+}
+
+/// Linear RGB (radiance, irradiance or albedo; the owner says which).
+pub type Rgb = Raster<[f32; 3]>;
+/// One channel, e.g. perceptual roughness.
+pub type Gray = Raster<f32>;
+/// Integer labels: semantic classes, room ids.
+pub type Labels = Raster<u16>;
+/// A yes/no map.
+pub type Mask = Raster<bool>;
+
+impl<T: Clone> Raster<T> {
+    /// An array filled with `value`.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self { width, height, data: vec![value; width * height] }
+    }
+}
+
+impl<T> Raster<T> {
+    /// Wraps `data`, which must hold `width · height` values.
+    pub fn new(width: usize, height: usize, data: Vec<T>) -> Result<Self> {
+        if data.len() == width * height {
+            Ok(Self { width, height, data })
+        } else {
+            Err(Error::invalid(format!(
+                "a {width}×{height} image needs {} values, {} given",
+                width * height,
+                data.len()
+            )))
+        }
+    }
+
+    /// The value at column `x`, row `y`.
+    pub fn at(&self, x: usize, y: usize) -> &T {
+        &self.data[y * self.width + x]
+    }
+
+    /// `(width, height)`.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Applies `f` to every value.
+    pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Raster<U> {
+        Raster { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
+    }
+}

@@ -1,0 +1,92 @@
+//! Points on the mesh: what a ray met, and what shading needs to know there.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec2, Vec3};
+
+use crate::mesh::Mesh;
+
+/// Where a ray, or a texel, meets the mesh. Point = (1−u−v)·a + u·b + v·c of the triangle's corners.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Hit {
+    /// Index into [`Mesh::triangles`], [`Hit::NONE`] for a miss.
+    pub triangle: u32,
+    /// Barycentric coordinate of the second corner.
+    pub u: f32,
+    /// Barycentric coordinate of the third corner.
+    pub v: f32,
+    /// Distance along the ray, metres. In a texel map: 1 where the texel's centre is inside the triangle, 0 where the
+    /// triangle only touches the texel.
+    pub t: f32,
+}
+
+impl Hit {
+    /// `triangle` of a miss.
+    pub const NONE: u32 = u32::MAX;
+    /// A miss.
+    pub const MISS: Hit = Hit { triangle: Self::NONE, u: 0.0, v: 0.0, t: 0.0 };
+
+    /// Whether something was hit.
+    pub fn is_hit(&self) -> bool {
+        self.triangle != Self::NONE
+    }
+
+    /// Atlas coordinates of the hit.
+    pub fn uv(&self, mesh: &Mesh) -> Vec2 {
+        let [a, b, c] = mesh.corner_uvs(self.triangle);
+        a * (1.0 - self.u - self.v) + b * self.u + c * self.v
+    }
+}
+
+/// A surface point from which rays leave.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct SurfacePoint {
+    /// Ray origin: the world position, moved off the surface along the geometric normal by [`offset_origin`].
+    pub position: [f32; 3],
+    /// The triangle it lies on.
+    pub triangle: u32,
+    /// Unit shading normal.
+    pub normal: [f32; 3],
+    /// Keeps the 32-byte layout of the WGSL struct.
+    pub pad: f32,
+}
+
+impl SurfacePoint {
+    /// The point of a hit. With `towards` (a unit direction), both normals are flipped to its side, so that a surface
+    /// seen from behind is shaded on the side that is seen.
+    pub fn new(mesh: &Mesh, hit: &Hit, towards: Option<Vec3>) -> Self {
+        let w = 1.0 - hit.u - hit.v;
+        let [a, b, c] = mesh.corners(hit.triangle);
+        let [na, nb, nc] = mesh.corner_normals(hit.triangle);
+        let mut face = mesh.face_normal(hit.triangle);
+        let mut normal = (na * w + nb * hit.u + nc * hit.v).normalize_or(face);
+        if face.dot(normal) < 0.0 {
+            face = -face;
+        }
+        if towards.is_some_and(|d| face.dot(d) < 0.0) {
+            face = -face;
+            normal = -normal;
+        }
+        let position = offset_origin(a * w + b * hit.u + c * hit.v, face);
+        Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), pad: 0.0 }
+    }
+}
+
+/// Moves a ray origin off its surface by a few units in the last place, so that the ray does not meet the surface that it
+/// starts on, at any scene scale (Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray
+/// Tracing Gems, chapter 6).
+pub fn offset_origin(p: Vec3, n: Vec3) -> Vec3 {
+    const ORIGIN: f32 = 1.0 / 32.0;
+    const FLOAT_SCALE: f32 = 1.0 / 65_536.0;
+    const INT_SCALE: f32 = 256.0;
+    let move_one = |p: f32, n: f32| {
+        if p.abs() < ORIGIN {
+            p + FLOAT_SCALE * n
+        } else {
+            let steps = (INT_SCALE * n) as i32;
+            f32::from_bits((p.to_bits() as i32).wrapping_add(if p < 0.0 { -steps } else { steps }) as u32)
+        }
+    };
+    Vec3::new(move_one(p.x, n.x), move_one(p.y, n.y), move_one(p.z, n.z))
+}

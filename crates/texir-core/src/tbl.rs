@@ -1,0 +1,1 @@
+//! Texture-based lighting from the views.

@@ -1,0 +1,1 @@
+//! Mip-mapped textures.
