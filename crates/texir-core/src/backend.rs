@@ -1,1 +1,230 @@
-//! The passes that bake and fit need.
+//! The passes that bake and fit need. The algorithms of this crate call them through [`Backend`] and never see a device.
+//!
+//! Every pass is a pure function of its arguments and the scene the backend was made for; it takes and returns host
+//! slices, so that an algorithm reads as its equations. Two implementations: [`crate::cpu::CpuBackend`] and the WGSL one in
+//! `texir-gpu`.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::raster::Rgb;
+use crate::surface::{Hit, SurfacePoint};
+use crate::texture::{Footprints, Pyramid};
+
+/// How many samples to draw, and from which stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sampling {
+    /// Samples per texel or pixel.
+    pub samples: u32,
+    /// Seed of the run; item `i` draws from the sequence scrambled by `hash(seed, i)`.
+    pub seed: u32,
+}
+
+/// Which derivative with respect to roughness [`Backend::shade`] returns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RoughnessGradient {
+    /// Exact for a density held fixed (detached sampling): Σ ψ w L [F0(1−x)+x].
+    Exact,
+    /// The TexIR authors': sampled directions move with r, the radiance looked up stays; biased.
+    Authors,
+}
+
+/// What shading needs to know of a pixel, apart from its material.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ShadePoint {
+    /// Ray origin, off the surface (see [`SurfacePoint`]).
+    pub position: [f32; 3],
+    /// Index of the item's sample sequence: the pixel's index in its view, so that a subset draws the same samples.
+    pub sequence: u32,
+    /// Unit shading normal, on the camera's side.
+    pub normal: [f32; 3],
+    /// Keeps the WGSL layout.
+    pub pad0: f32,
+    /// Unit direction to the camera.
+    pub view: [f32; 3],
+    /// Keeps the WGSL layout.
+    pub pad1: f32,
+    /// Irradiance E, cosine included, not divided by π.
+    pub irradiance: [f32; 3],
+    /// Keeps the WGSL layout.
+    pub pad2: f32,
+}
+
+/// The BRDF's parameters at one point.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Material {
+    /// Linear RGB in [0, 1].
+    pub albedo: [f32; 3],
+    /// Perceptual roughness r; α = r².
+    pub roughness: f32,
+    /// 0 dielectric, 1 metal.
+    pub metallic: f32,
+    /// Keeps the WGSL layout.
+    pub pad: [f32; 3],
+}
+
+impl Material {
+    /// A dielectric.
+    pub fn dielectric(albedo: [f32; 3], roughness: f32) -> Self {
+        Self { albedo, roughness, metallic: 0.0, pad: [0.0; 3] }
+    }
+}
+
+/// Outgoing radiance of a pixel with what its adjoint needs, so that the backward pass traces no ray.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Shaded {
+    /// L_o = a(1−m)E/π + F0⊙A + B.
+    pub radiance: [f32; 3],
+    /// Keeps the WGSL layout.
+    pub pad0: f32,
+    /// A = Σ w_s L_s (1−x_s) = ∂L_o/∂F0.
+    pub specular_scale: [f32; 3],
+    /// Keeps the WGSL layout.
+    pub pad1: f32,
+    /// ∂L_o/∂r.
+    pub d_roughness: [f32; 3],
+    /// Keeps the WGSL layout.
+    pub pad2: f32,
+}
+
+/// Cotangents of a [`Material`]: ∂Loss/∂(each parameter).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct MaterialGrad {
+    /// ∂Loss/∂albedo.
+    pub albedo: [f32; 3],
+    /// ∂Loss/∂roughness.
+    pub roughness: f32,
+    /// ∂Loss/∂metallic.
+    pub metallic: f32,
+    /// Keeps the WGSL layout.
+    pub pad: [f32; 3],
+}
+
+/// Where a surface point falls in a view: the result of the projection pass of the TBL.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Projected {
+    /// Continuous pixel coordinates (pixel centres at +0.5).
+    pub pixel: [f32; 2],
+    /// Cosine between the shading normal and the direction to the camera.
+    pub cosine: f32,
+    /// Distance to the camera, metres; 0 when the point is not visible (outside the image, facing away, or occluded).
+    pub distance: f32,
+}
+
+/// Disjoint groups of a view's pixels (a class, or a class within a room), fixed for the whole fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Groups {
+    /// `groups + 1` offsets into `members`.
+    pub offsets: Vec<u32>,
+    /// Pixel indices, group by group.
+    pub members: Vec<u32>,
+    /// Of each group, how many of its first members are the reference set (virtual-highlight pixels), for
+    /// [`GroupTarget::Quantile`].
+    pub references: Vec<u32>,
+}
+
+/// What the members of a group are drawn to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GroupTarget {
+    /// The group's mean; the gradient flows through it.
+    Mean,
+    /// The q-quantile of the group's reference members (linear interpolation), held fixed; only the other members are
+    /// drawn to it. Groups without references are left out.
+    Quantile(f32),
+}
+
+/// A loss and its gradient with respect to the values it was computed from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loss<T> {
+    /// The loss.
+    pub value: f32,
+    /// ∂value/∂input, one per input.
+    pub gradient: Vec<T>,
+}
+
+/// The passes, for one scene. Slices are host memory; item order is kept.
+pub trait Backend {
+    /// The adapter or processor that runs the passes, for logs.
+    fn name(&self) -> String;
+
+    /// Sets the radiance texture that [`Backend::irradiance`] and [`Backend::shade`] gather (linear RGB, nearest texel;
+    /// rays that miss the mesh return 0).
+    fn set_tbl(&mut self, radiance: &Rgb) -> Result<()>;
+
+    /// Primary visibility: the closest hit through every pixel centre, `camera.pixels()` items. `t` is in metres.
+    fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>>;
+
+    /// Texel map: which surface point each texel of a `width × height` atlas is. A texel whose centre lies in a triangle
+    /// takes that point (the lowest triangle index where charts overlap); a texel that a triangle only touches takes the
+    /// nearest point of the nearest such triangle (conservative at chart borders).
+    fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>>;
+
+    /// Irradiance gather: E = ∫ L cosθ dω (full, not divided by π) at every point, cosine-distributed Sobol samples.
+    fn irradiance(
+        &mut self,
+        points: &[SurfacePoint],
+        sampling: Sampling,
+        progress: &dyn Progress,
+    ) -> Result<Vec<[f32; 3]>>;
+
+    /// Projects points into a view and tests visibility through the BVH.
+    fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>>;
+
+    /// Shade: diffuse from irradiance + importance-sampled GGX over the TBL, with the Jacobian its adjoint needs.
+    fn shade(
+        &mut self,
+        points: &[ShadePoint],
+        materials: &[Material],
+        sampling: Sampling,
+        gradient: RoughnessGradient,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Shaded>>;
+
+    /// Adjoint of [`Backend::shade`]: from ∂Loss/∂L_o (`d_radiance`) to ∂Loss/∂material, per pixel. Traces no ray.
+    fn shade_vjp(
+        &mut self,
+        points: &[ShadePoint],
+        materials: &[Material],
+        shaded: &[Shaded],
+        d_radiance: &[[f32; 3]],
+    ) -> Result<Vec<MaterialGrad>>;
+
+    /// Image loss: the weighted mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x).
+    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>>;
+
+    /// Σ over groups of mean |value − target(group)|; `values` holds `channels` numbers per pixel, and the mean is over
+    /// members and channels.
+    fn group_loss(
+        &mut self,
+        values: &[f32],
+        channels: usize,
+        groups: &Groups,
+        target: GroupTarget,
+    ) -> Result<Loss<f32>>;
+
+    /// Mip-mapped texture lookup: `channels` interleaved numbers per texel in, the same per footprint out.
+    fn lookup(
+        &mut self,
+        pyramid: &Pyramid,
+        texture: &[f32],
+        channels: usize,
+        footprints: &Footprints,
+    ) -> Result<Vec<f32>>;
+
+    /// Transpose of [`Backend::lookup`]: cotangents of the looked-up values back to every texel.
+    fn lookup_vjp(
+        &mut self,
+        pyramid: &Pyramid,
+        d_values: &[f32],
+        channels: usize,
+        footprints: &Footprints,
+    ) -> Result<Vec<f32>>;
+}

@@ -1,1 +1,114 @@
-//! Random and low-discrepancy numbers.
+//! Random and low-discrepancy numbers: integer arithmetic only, so that the CPU twin and the WGSL draw the same samples.
+
+/// PCG-style hash of one word (Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 2020).
+pub fn hash(x: u32) -> u32 {
+    let state = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+    let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
+    (word >> 22) ^ word
+}
+
+/// Hash of two words.
+pub fn hash2(a: u32, b: u32) -> u32 {
+    hash(a ^ hash(b).rotate_left(16))
+}
+
+/// Hash-based Owen scrambling of a bit-reversed number (Burley, "Practical Hash-based Owen Scrambling", JCGT 2020, with
+/// the constants of Vegdahl's improved Laine–Karras permutation).
+fn laine_karras(mut x: u32, seed: u32) -> u32 {
+    x ^= x.wrapping_mul(0x3d20_adea);
+    x = x.wrapping_add(seed);
+    x = x.wrapping_mul((seed >> 16) | 1);
+    x ^= x.wrapping_mul(0x0552_6c56);
+    x ^= x.wrapping_mul(0x53a2_2864);
+    x
+}
+
+/// Owen scrambling of `x`: a random permutation of every elementary interval.
+fn owen(x: u32, seed: u32) -> u32 {
+    laine_karras(x.reverse_bits(), seed).reverse_bits()
+}
+
+/// The second Sobol dimension of index `i`, as a 32-bit fraction: i times Pascal's triangle modulo 2, which factors into
+/// five masked shifts (no loop: loop iterations are scarce on some drivers).
+fn sobol_pascal(i: u32) -> u32 {
+    let mut x = i.reverse_bits();
+    x ^= (x & 0x5555_5555) << 1;
+    x ^= (x & 0x3333_3333) << 2;
+    x ^= (x & 0x0f0f_0f0f) << 4;
+    x ^= (x & 0x00ff_00ff) << 8;
+    x ^= (x & 0x0000_ffff) << 16;
+    x
+}
+
+/// Sample `index` of the two-dimensional Owen-scrambled Sobol sequence of `seed`, as fractions in [0, 1).
+///
+/// Any aligned run of 2^k samples is a (0, k, 2)-net, so that a prefix of a sequence is already well spread. Values have
+/// 24 bits and are therefore the same numbers in `f32` and `f64`.
+pub fn sobol2(index: u32, seed: u32) -> [f32; 2] {
+    let shuffled = owen(index, seed);
+    let x = owen(shuffled.reverse_bits(), hash2(seed, 1));
+    let y = owen(sobol_pascal(shuffled), hash2(seed, 2));
+    [to_unit(x), to_unit(y)]
+}
+
+fn to_unit(x: u32) -> f32 {
+    (x >> 8) as f32 / 16_777_216.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Direction numbers of the second Sobol dimension by their recurrence v_k = v_{k−1} ^ (v_{k−1} >> 1).
+    fn sobol_by_recurrence(mut i: u32) -> u32 {
+        let (mut v, mut x) = (1u32 << 31, 0);
+        while i != 0 {
+            if i & 1 != 0 {
+                x ^= v;
+            }
+            v ^= v >> 1;
+            i >>= 1;
+        }
+        x
+    }
+
+    #[test]
+    fn pascal_factorisation_is_the_sobol_recurrence() {
+        for i in (0..4096).chain((0..4096).map(hash)) {
+            assert_eq!(sobol_pascal(i), sobol_by_recurrence(i), "index {i}");
+        }
+    }
+
+    /// A (0, k, 2)-net: each of the 2^k elementary boxes of every shape holds exactly one of 2^k samples.
+    fn is_net(points: &[[f32; 2]]) -> bool {
+        let k = points.len().trailing_zeros();
+        (0..=k).all(|a| {
+            let (nx, ny) = (1usize << a, 1usize << (k - a));
+            let mut seen = vec![false; points.len()];
+            points.iter().all(|p| {
+                let cell = (p[1] * ny as f32) as usize * nx + (p[0] * nx as f32) as usize;
+                !std::mem::replace(&mut seen[cell], true)
+            })
+        })
+    }
+
+    #[test]
+    fn every_aligned_run_is_a_net() {
+        for seed in [1, 7, 0xdead_beef] {
+            for start in [0u32, 256, 1024] {
+                let points: Vec<_> = (start..start + 256).map(|i| sobol2(i, seed)).collect();
+                assert!(is_net(&points), "seed {seed}, start {start}");
+            }
+        }
+        // Negative control: independent random points are no net.
+        let random: Vec<_> = (0..256).map(|i| [to_unit(hash(2 * i)), to_unit(hash(2 * i + 1))]).collect();
+        assert!(!is_net(&random));
+    }
+
+    #[test]
+    fn seeds_decorrelate() {
+        let mean = |f: &dyn Fn(u32) -> f32| (0..4096).map(f).sum::<f32>() / 4096.0;
+        let covariance = mean(&|s| (sobol2(3, hash(s))[0] - 0.5) * (sobol2(3, hash(s) ^ 1)[0] - 0.5));
+        assert!(covariance.abs() < 0.01, "{covariance}");
+    }
+}

@@ -1,1 +1,256 @@
-//! Mip-mapped textures.
+//! Mip-mapped textures over an atlas with holes: the pyramid's layout, and which texels a pixel sees with which weight.
+//!
+//! A lookup is linear in the texture, so it is stored as a sparse matrix over the pyramid: the forward pass multiplies by
+//! it, the adjoint by its transpose. Both are gathers in a fixed order, so that gradients are reproducible.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Mat2, Vec2, Vec3};
+use rayon::prelude::*;
+
+use crate::camera::Camera;
+use crate::mesh::Mesh;
+use crate::surface::Hit;
+
+/// One level of a [`Pyramid`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Level {
+    /// Index of its first texel in the pyramid.
+    pub offset: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+/// The mip pyramid of an atlas: level 0 is the atlas, each next level halves it (rounding up). A coarse texel is the mean
+/// of its valid children, so that the empty space between charts does not bleed in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pyramid {
+    /// From finest to 1×1.
+    pub levels: Vec<Level>,
+    /// Per pyramid texel: the share of it that valid atlas texels cover; 0 where there are none.
+    pub coverage: Vec<f32>,
+}
+
+impl Pyramid {
+    /// The pyramid of a `width × height` atlas whose texel `i` holds data where `valid[i]`.
+    pub fn new(width: usize, height: usize, valid: &[bool]) -> Self {
+        assert_eq!(valid.len(), width * height, "one validity flag per texel");
+        let mut levels = vec![Level { offset: 0, width, height }];
+        let mut coverage: Vec<f32> = valid.iter().map(|&v| f32::from(u8::from(v))).collect();
+        while let Some(&fine) = levels.last().filter(|l| l.width * l.height > 1) {
+            let coarse = Level {
+                offset: fine.offset + fine.width * fine.height,
+                width: fine.width.div_ceil(2),
+                height: fine.height.div_ceil(2),
+            };
+            for y in 0..coarse.height {
+                for x in 0..coarse.width {
+                    let children = Self::children(&fine, x, y);
+                    let sum: f32 = children.iter().flatten().map(|&c| coverage[c]).sum();
+                    coverage.push(sum / 4.0);
+                }
+            }
+            levels.push(coarse);
+        }
+        Self { levels, coverage }
+    }
+
+    /// Texels of all levels together.
+    pub fn len(&self) -> usize {
+        self.coverage.len()
+    }
+
+    /// True for an atlas without texels.
+    pub fn is_empty(&self) -> bool {
+        self.coverage.is_empty()
+    }
+
+    /// Pyramid indices of the up to four children on level `fine` of texel (x, y) one level coarser.
+    pub fn children(fine: &Level, x: usize, y: usize) -> [Option<usize>; 4] {
+        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| {
+            let (cx, cy) = (2 * x + dx, 2 * y + dy);
+            (cx < fine.width && cy < fine.height).then_some(fine.offset + cy * fine.width + cx)
+        })
+    }
+
+    /// Bilinear taps at `uv` on one level: up to four `(texel, weight)`, valid texels only, weights summing to 1 (or none).
+    fn bilinear(&self, level: usize, uv: Vec2) -> Vec<Tap> {
+        let l = self.levels[level];
+        let p = uv * Vec2::new(l.width as f32, l.height as f32) - 0.5;
+        let base = p.floor();
+        let f = p - base;
+        let mut taps = Vec::with_capacity(4);
+        for (dx, dy, w) in
+            [(0, 0, (1.0 - f.x) * (1.0 - f.y)), (1, 0, f.x * (1.0 - f.y)), (0, 1, (1.0 - f.x) * f.y), (1, 1, f.x * f.y)]
+        {
+            let x = (base.x as i64 + dx).clamp(0, l.width as i64 - 1) as usize;
+            let y = (base.y as i64 + dy).clamp(0, l.height as i64 - 1) as usize;
+            let texel = l.offset + y * l.width + x;
+            let weight = w * self.coverage[texel];
+            if weight > 0.0 {
+                taps.push(Tap { texel: texel as u32, weight });
+            }
+        }
+        normalise(&mut taps, 1.0);
+        taps
+    }
+
+    /// Trilinear taps at `uv` for a footprint `width` texels wide on level 0.
+    fn trilinear(&self, uv: Vec2, width: f32) -> Vec<Tap> {
+        let lod = width.max(1.0).log2().min((self.levels.len() - 1) as f32);
+        let (fine, f) = (lod.floor() as usize, lod.fract());
+        let mut taps = self.bilinear(fine, uv);
+        if f > 0.0 && fine + 1 < self.levels.len() {
+            normalise(&mut taps, 1.0 - f);
+            let mut coarse = self.bilinear(fine + 1, uv);
+            normalise(&mut coarse, f);
+            taps.append(&mut coarse);
+            normalise(&mut taps, 1.0);
+        }
+        taps
+    }
+}
+
+fn normalise(taps: &mut [Tap], to: f32) {
+    let sum: f32 = taps.iter().map(|t| t.weight).sum();
+    for tap in taps {
+        tap.weight *= to / sum;
+    }
+}
+
+/// One entry of a sparse matrix: which item, with which weight.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Tap {
+    /// Pyramid texel (in rows), or footprint (in columns).
+    pub texel: u32,
+    /// Share of it.
+    pub weight: f32,
+}
+
+/// A list of rows of taps.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rows {
+    /// `rows + 1` offsets into `taps`.
+    pub offsets: Vec<u32>,
+    /// Entries, row by row.
+    pub taps: Vec<Tap>,
+}
+
+impl Rows {
+    /// Flattens one list of taps per row.
+    pub fn from_lists(lists: impl IntoIterator<Item = Vec<Tap>>) -> Self {
+        let mut rows = Rows { offsets: vec![0], taps: Vec::new() };
+        for list in lists {
+            rows.taps.extend(list);
+            rows.offsets.push(rows.taps.len() as u32);
+        }
+        rows
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// True without rows.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Entries of row `i`.
+    pub fn row(&self, i: usize) -> &[Tap] {
+        &self.taps[self.offsets[i] as usize..self.offsets[i + 1] as usize]
+    }
+}
+
+/// The footprints of a list of pixels in a [`Pyramid`], as a sparse matrix and its transpose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Footprints {
+    /// Per pixel, the pyramid texels it sees; empty for a pixel that sees no valid texel.
+    pub rows: Rows,
+    /// Pyramid texels seen by any pixel, ascending.
+    pub touched: Vec<u32>,
+    /// Per entry of `touched`, the pixels that see it ([`Tap::texel`] is a pixel index).
+    pub columns: Rows,
+}
+
+impl Footprints {
+    /// Builds the transpose of `rows`.
+    pub fn new(rows: Rows) -> Self {
+        let mut transposed: Vec<(u32, Tap)> = Vec::with_capacity(rows.taps.len());
+        for pixel in 0..rows.len() {
+            transposed.extend(rows.row(pixel).iter().map(|t| (t.texel, Tap { texel: pixel as u32, weight: t.weight })));
+        }
+        transposed.par_sort_by_key(|(texel, tap)| (*texel, tap.texel));
+        let mut touched: Vec<u32> = Vec::new();
+        let mut columns = Rows { offsets: Vec::new(), taps: Vec::with_capacity(transposed.len()) };
+        for (texel, tap) in transposed {
+            if touched.last() != Some(&texel) {
+                touched.push(texel);
+                columns.offsets.push(columns.taps.len() as u32);
+            }
+            columns.taps.push(tap);
+        }
+        columns.offsets.push(columns.taps.len() as u32);
+        Self { rows, touched, columns }
+    }
+
+    /// Trilinear footprints of a view's pixels from their primary hits; pixels without a hit get an empty row.
+    ///
+    /// The level follows the longer axis of the pixel's footprint in the atlas, from ray differentials (Igehy 1999).
+    pub fn of_view(pyramid: &Pyramid, mesh: &Mesh, camera: &Camera, hits: &[Hit]) -> Self {
+        let level0 = pyramid.levels[0];
+        let texels = Vec2::new(level0.width as f32, level0.height as f32);
+        let lists: Vec<Vec<Tap>> = hits
+            .par_iter()
+            .enumerate()
+            .map(|(i, hit)| {
+                if !hit.is_hit() {
+                    return Vec::new();
+                }
+                let (x, y) = ((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
+                let (du, dv) = uv_differentials(mesh, camera, hit, x, y);
+                let width = (du * texels).length().max((dv * texels).length());
+                pyramid.trilinear(hit.uv(mesh), if width.is_finite() { width } else { 1.0 })
+            })
+            .collect();
+        Self::new(Rows::from_lists(lists))
+    }
+
+    /// Bilinear footprints on the atlas itself, at given coordinates.
+    pub fn bilinear(pyramid: &Pyramid, uvs: impl IntoIterator<Item = Vec2>) -> Self {
+        Self::new(Rows::from_lists(uvs.into_iter().map(|uv| pyramid.bilinear(0, uv))))
+    }
+
+    /// Number of footprints.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// True without footprints.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+}
+
+/// Change of the atlas coordinates per pixel step in x and in y, on the plane of the triangle that was hit.
+fn uv_differentials(mesh: &Mesh, camera: &Camera, hit: &Hit, x: f32, y: f32) -> (Vec2, Vec2) {
+    let [a, b, c] = mesh.corners(hit.triangle);
+    let [ua, ub, uc] = mesh.corner_uvs(hit.triangle);
+    let (e1, e2) = (b - a, c - a);
+    let normal = e1.cross(e2);
+    let origin = camera.position();
+    let on_plane = |d: Vec3| origin + d * ((a - origin).dot(normal) / d.dot(normal));
+    let p = on_plane(camera.direction(x, y));
+    // Barycentric coordinates of a step in the plane: least squares over the two edges, exact as it lies in their span.
+    let gram = Mat2::from_cols(Vec2::new(e1.dot(e1), e1.dot(e2)), Vec2::new(e1.dot(e2), e2.dot(e2)));
+    let inverse = gram.inverse();
+    let step = |q: Vec3| {
+        let d = q - p;
+        let bary = inverse * Vec2::new(d.dot(e1), d.dot(e2));
+        (ub - ua) * bary.x + (uc - ua) * bary.y
+    };
+    (step(on_plane(camera.direction(x + 1.0, y))), step(on_plane(camera.direction(x, y + 1.0))))
+}
