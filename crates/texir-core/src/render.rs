@@ -84,6 +84,11 @@ impl<'a> Renderer<'a> {
         self.sampling.samples
     }
 
+    /// Rays of a view, as progress counts them: samples × pixels.
+    pub fn rays(&self, camera: &Camera) -> u64 {
+        camera.pixels() as u64 * u64::from(self.sampling.samples)
+    }
+
     /// The materials and light at every pixel, by trilinear lookup.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Textures) -> Result<Surfaces> {
         let hits = self.backend.primary(camera)?;
@@ -102,28 +107,25 @@ impl<'a> Renderer<'a> {
         Ok(Surfaces { hits, albedo, roughness, irradiance, emission })
     }
 
-    /// The view's radiance. Advances `progress` by the camera's pixels; the caller starts and finishes the task.
+    /// The view's radiance. Advances `progress` by [`Renderer::rays`]; the caller starts and finishes the task.
     pub fn render(&mut self, camera: &Camera, textures: &Textures, progress: &dyn Progress) -> Result<RenderedView> {
         let surfaces = self.surfaces(camera, textures)?;
         let mut radiance = Rgb::filled(camera.width, camera.height, [0.0; 3]);
         let seen: Vec<usize> = (0..camera.pixels()).filter(|&i| surfaces.hits[i].is_hit()).collect();
         for pixels in seen.chunks(CHUNK) {
-            progress.check()?;
             let points: Vec<ShadePoint> = pixels.iter().map(|&i| self.shade_point(camera, &surfaces, i)).collect();
             let materials: Vec<Material> = pixels
                 .iter()
                 .map(|&i| Material::dielectric(surfaces.albedo.data[i], surfaces.roughness.data[i]))
                 .collect();
-            let within = Within(progress);
             let shaded =
-                self.backend.shade(&points, &materials, self.sampling, RoughnessGradient::Exact, &within)?;
+                self.backend.shade(&points, &materials, self.sampling, RoughnessGradient::Exact, progress)?;
             for (&i, shaded) in pixels.iter().zip(&shaded) {
                 let emitted = surfaces.emission.data[i];
                 radiance.data[i] = std::array::from_fn(|c| shaded.radiance[c] + emitted[c]);
             }
-            progress.advance(pixels.len() as u64);
         }
-        progress.advance((camera.pixels() - seen.len()) as u64);
+        progress.advance((camera.pixels() - seen.len()) as u64 * u64::from(self.sampling.samples));
         Ok(RenderedView { radiance, surfaces })
     }
 
@@ -143,7 +145,7 @@ impl<'a> Renderer<'a> {
         }
     }
 
-    /// Index of the atlas' pyramid at a size, made at its first use.
+    /// Index of the atlas's pyramid at a size, made at its first use.
     fn pyramid(&mut self, (width, height): (usize, usize)) -> Result<usize> {
         let known = self.pyramids.iter().position(|p| (p.levels[0].width, p.levels[0].height) == (width, height));
         if let Some(index) = known {
@@ -171,20 +173,5 @@ impl<'a> Renderer<'a> {
             footprints.len() - 1
         });
         self.backend.lookup(pyramid, texture, channels, &footprints[known].1)
-    }
-}
-
-/// Passes cancellation on from within a task whose progress is counted outside.
-struct Within<'a>(&'a dyn Progress);
-
-impl Progress for Within<'_> {
-    fn start(&self, _: &str, _: u64, _: &str) {}
-    fn advance(&self, _: u64) {}
-    fn finish(&self) {}
-    fn warn(&self, message: &str) {
-        self.0.warn(message);
-    }
-    fn cancelled(&self) -> bool {
-        self.0.cancelled()
     }
 }
