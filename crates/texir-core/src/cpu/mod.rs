@@ -12,6 +12,9 @@ pub mod shade_vjp;
 pub mod texels;
 pub mod trace;
 
+#[cfg(test)]
+mod tests;
+
 use rayon::prelude::*;
 
 use crate::backend::{
