@@ -5,6 +5,7 @@
 
 use glam::Vec3;
 
+use crate::atlas::Atlas;
 use crate::backend::{Backend, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::camera::Camera;
 use crate::error::Result;
@@ -151,8 +152,7 @@ impl<'a> Renderer<'a> {
         if let Some(index) = known {
             return Ok(index);
         }
-        let valid: Vec<bool> = self.backend.texels(width, height)?.iter().map(Hit::is_hit).collect();
-        self.pyramids.push(Pyramid::new(width, height, &valid));
+        self.pyramids.push(Atlas::new(self.backend, self.scene, width, height)?.pyramid());
         Ok(self.pyramids.len() - 1)
     }
 
