@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use texir_core::progress::Progress;
 
 use crate::failure::Failure;
@@ -155,7 +155,8 @@ impl Task {
     fn plain_line(&self) -> String {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let share = if total > 0 { done as f64 / total as f64 } else { 0.0 };
-        let mut line = format!("{}: {:.0} %, {} of {} {}", self.name, share * 100.0, count(done), count(total), self.unit);
+        let mut line =
+            format!("{}: {:.0} %, {} of {} {}", self.name, share * 100.0, count(done), count(total), self.unit);
         if let Some(left) = remaining(self.started.elapsed(), share) {
             line += &format!(", about {} left", seconds(left));
         }
@@ -170,15 +171,18 @@ fn remaining(elapsed: Duration, share: f64) -> Option<Duration> {
 }
 
 fn style() -> ProgressStyle {
+    // The key writers' results are dropped: a bar that cannot be drawn must not stop the work.
     ProgressStyle::with_template("{prefix:>24} [{bar:32}] {percent:>3} %  {done} of {total} {msg}  {left}")
         .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .with_key("done", |s: &ProgressState, w: &mut dyn std::fmt::Write| drop(w.write_str(&count(s.pos()))))
-        .with_key("total", |s: &ProgressState, w: &mut dyn std::fmt::Write| {
-            drop(w.write_str(&count(s.len().unwrap_or(0))));
+        .with_key("done", |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = out.write_str(&count(state.pos()));
         })
-        .with_key("left", |s: &ProgressState, w: &mut dyn std::fmt::Write| {
-            if let Some(left) = remaining(s.elapsed(), f64::from(s.fraction())) {
-                drop(write!(w, "{} left", HumanDuration(left)));
+        .with_key("total", |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = out.write_str(&count(state.len().unwrap_or(0)));
+        })
+        .with_key("left", |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            if let Some(left) = remaining(state.elapsed(), f64::from(state.fraction())) {
+                let _ = write!(out, "{} left", seconds(left));
             }
         })
         .progress_chars("━╸ ")

@@ -44,7 +44,11 @@ impl<T> Context<T> for texir_core::error::Result<T> {
 
 impl From<texir_core::error::Error> for Failure {
     fn from(error: texir_core::error::Error) -> Self {
-        Self { what: error.to_string(), help: None, source: matches!(error, texir_core::error::Error::Cancelled).then_some(error) }
+        Self {
+            what: error.to_string(),
+            help: None,
+            source: matches!(error, texir_core::error::Error::Cancelled).then_some(error),
+        }
     }
 }
 

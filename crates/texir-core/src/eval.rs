@@ -162,8 +162,7 @@ pub fn evaluate(
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
     progress.start("evaluating", rays * passes, "rays");
     let mut result = Subject::new(renderer, capture, textures, progress)?;
-    let mut ceiling =
-        truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
+    let mut ceiling = truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
     for view in &capture.views {
         let observed = Observed::load(view, progress)?;
         let (rendered, mask) = result.evaluate(renderer, view, &observed, progress)?;
@@ -176,9 +175,10 @@ pub fn evaluate(
             rendered: &rendered,
             albedo: observed.albedo.as_ref(),
             roughness: observed.roughness.as_ref(),
-            albedo_scale: observed.albedo.as_ref().and_then(|truth| {
-                AlbedoSums::of(&rendered.surfaces.albedo, truth, &mask).scale()
-            }),
+            albedo_scale: observed
+                .albedo
+                .as_ref()
+                .and_then(|truth| AlbedoSums::of(&rendered.surfaces.albedo, truth, &mask).scale()),
             mask: &mask,
             scores: result.views.last().copied().unwrap_or_default(),
         })?;

@@ -68,7 +68,9 @@ pub fn ssim<P: Pixel>(a: &Raster<P>, b: &Raster<P>) -> Result<f64> {
     same_size(a.size(), b.size())?;
     let (width, height) = a.size();
     if width < WINDOW || height < WINDOW {
-        return Err(Error::invalid(format!("SSIM needs images of at least {WINDOW}×{WINDOW} pixels, not {width}×{height}")));
+        return Err(Error::invalid(format!(
+            "SSIM needs images of at least {WINDOW}×{WINDOW} pixels, not {width}×{height}"
+        )));
     }
     let rows = height - WINDOW + 1;
     let sum: f64 = (0..P::CHANNELS * rows)

@@ -119,8 +119,7 @@ impl<'a> Renderer<'a> {
                 .iter()
                 .map(|&i| Material::dielectric(surfaces.albedo.data[i], surfaces.roughness.data[i]))
                 .collect();
-            let shaded =
-                self.backend.shade(&points, &materials, self.sampling, RoughnessGradient::Exact, progress)?;
+            let shaded = self.backend.shade(&points, &materials, self.sampling, RoughnessGradient::Exact, progress)?;
             for (&i, shaded) in pixels.iter().zip(&shaded) {
                 let emitted = surfaces.emission.data[i];
                 radiance.data[i] = std::array::from_fn(|c| shaded.radiance[c] + emitted[c]);

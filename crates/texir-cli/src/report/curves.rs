@@ -86,40 +86,53 @@ fn epoch_means<'a>(steps: impl Iterator<Item = &'a Step>) -> Vec<[f32; 3]> {
     sums.into_iter().map(|(_, sum, count)| sum.map(|s| s / count)).collect()
 }
 
-/// Epoch means on a logarithmic axis; a series that is 0 throughout is left out.
+/// Epoch means over a logarithmic axis; a series that is 0 throughout is left out.
 fn chart(epochs: &[[f32; 3]]) -> Result<String, Box<dyn std::error::Error>> {
     let positive = || epochs.iter().flatten().copied().filter(|&v| v > 0.0 && v.is_finite());
     let low = positive().fold(f32::INFINITY, f32::min);
     let high = positive().fold(0.0, f32::max);
     let (low, high) = if low < high { (low / 1.15, high * 1.15) } else { (1e-3, 1.0) };
+    let last_epoch = epochs.len().saturating_sub(1).max(1) as f32;
     let mut svg = String::new();
     {
         let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
             .margin_right(14)
-            .x_label_area_size(26)
-            .y_label_area_size(52)
-            .build_cartesian_2d(0.0..epochs.len().saturating_sub(1).max(1) as f32, (low..high).log_scale())?;
+            .x_label_area_size(44)
+            .y_label_area_size(62)
+            .build_cartesian_2d(0.0..last_epoch, low.log10()..high.log10())?;
         chart
             .configure_mesh()
             .disable_x_mesh()
             .light_line_style(TRANSPARENT)
             .x_labels(5)
             .y_labels(5)
+            .x_desc("epoch")
             .x_label_formatter(&|x| format!("{x:.0}"))
-            .y_label_formatter(&|y| format!("{y:.2e}").replace("e0", ""))
-            .label_style(("sans-serif", 13))
+            .y_label_formatter(&|y| two_digits(10f32.powf(*y)))
+            .label_style(("sans-serif", 16))
+            .axis_desc_style(("sans-serif", 16))
             .draw()?;
         for (i, (_, colour)) in SERIES.iter().enumerate().rev() {
             if epochs.iter().any(|e| e[i] > 0.0) {
-                let points = epochs.iter().enumerate().map(|(x, e)| (x as f32, e[i].max(low)));
+                let points = epochs.iter().enumerate().map(|(x, e)| (x as f32, e[i].max(low).log10()));
                 chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?;
             }
         }
         area.present()?;
     }
     Ok(themed(&svg))
+}
+
+/// A positive number in two significant digits: 0.031, 1.2, 45, 3e-5.
+fn two_digits(value: f32) -> String {
+    let magnitude = value.log10().floor();
+    if (-4.0..2.0).contains(&magnitude) {
+        format!("{value:.*}", (1.0 - magnitude) as usize)
+    } else {
+        format!("{value:.1e}")
+    }
 }
 
 /// Hands colours and size to the style sheet, and drops the namespace that inline SVG does without.
@@ -158,6 +171,11 @@ mod tests {
             assert!(!curve.svg.contains("series-smoothness"));
             assert!(!curve.svg.contains("http"));
         }
+    }
+
+    #[test]
+    fn labels_are_short() {
+        assert_eq!([0.0312, 1.23, 45.2, 0.000_031].map(two_digits), ["0.031", "1.2", "45", "3.1e-5"]);
     }
 
     #[test]

@@ -59,7 +59,9 @@ fn header(page: &mut String, report: &Report) {
 
 fn figures(page: &mut String, report: &Report) {
     let evaluation = &report.evaluation;
-    page.push_str("<div class=\"card scroll\"><table class=\"figures\">\n<thead><tr><th></th><th colspan=\"3\">Result</th>");
+    page.push_str(
+        "<div class=\"card scroll\"><table class=\"figures\">\n<thead><tr><th></th><th colspan=\"3\">Result</th>",
+    );
     if evaluation.ceiling.is_some() {
         page.push_str("<th class=\"ceiling\" colspan=\"3\">True materials, same light</th>");
     }
@@ -74,7 +76,13 @@ fn figures(page: &mut String, report: &Report) {
         let Some(score) = of(&evaluation.result) else { continue };
         let class = if minor { " class=\"minor\"" } else { "" };
         push(page, format_args!("<tr{class}><th scope=\"row\">{name}</th>"));
-        push(page, format_args!("<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>", score.psnr, score.ssim, score.mse));
+        push(
+            page,
+            format_args!(
+                "<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>",
+                score.psnr, score.ssim, score.mse
+            ),
+        );
         if let Some(ceiling) = &evaluation.ceiling {
             match of(ceiling) {
                 Some(s) => {
@@ -88,18 +96,21 @@ fn figures(page: &mut String, report: &Report) {
         page.push_str("</tr>\n");
     }
     page.push_str("</tbody></table></div>\n");
-    push(page, format_args!(
-        "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
+    push(
+        page,
+        format_args!(
+            "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
          page, clamp(x<sup>1/2.2</sup>, 0, 1); roughness as it is. PSNR is that of the mean squared error over views; {} \
          samples a pixel. {}</p>\n",
-        evaluation.samples,
-        if evaluation.ceiling.is_some() {
-            "The true materials, seen through the same lighting, atlas and renderer, are the ceiling of what any fit to \
+            evaluation.samples,
+            if evaluation.ceiling.is_some() {
+                "The true materials, seen through the same lighting, atlas and renderer, are the ceiling of what any fit to \
              these inputs can be expected to reach."
-        } else {
-            "The capture has no true textures, so no ceiling is known."
-        }
-    ));
+            } else {
+                "The capture has no true textures, so no ceiling is known."
+            }
+        ),
+    );
 }
 
 fn textures(page: &mut String, report: &Report) {
@@ -114,7 +125,10 @@ fn textures(page: &mut String, report: &Report) {
 fn rooms(page: &mut String, report: &Report) {
     let Some(plan) = &report.rooms else { return };
     page.push_str("<h2>Rooms</h2>\n<p class=\"note\">Found in the mesh, seen from above. Surfaces of one class in one room share their roughness prior.</p>\n");
-    push(page, format_args!("<div class=\"card plan\"><figure>{}</figure></div>\n", img(plan, "Floor plan with rooms")));
+    push(
+        page,
+        format_args!("<div class=\"card plan\"><figure>{}</figure></div>\n", img(plan, "Floor plan with rooms")),
+    );
 }
 
 fn curves(page: &mut String, report: &Report) {
@@ -127,10 +141,15 @@ fn curves(page: &mut String, report: &Report) {
     }
     page.push_str("</div>\n<div class=\"curves\">\n");
     for curve in &report.curves {
-        push(page, format_args!(
-            "<div class=\"card curve\"><header><h3>Stage {}</h3><span>ends at {:.4}</span></header>{}</div>\n",
-            escape(&curve.stage), curve.last, curve.svg
-        ));
+        push(
+            page,
+            format_args!(
+                "<div class=\"card curve\"><header><h3>Stage {}</h3><span>ends at {:.4}</span></header>{}</div>\n",
+                escape(&curve.stage),
+                curve.last,
+                curve.svg
+            ),
+        );
     }
     page.push_str("</div>\n");
 }
@@ -138,11 +157,15 @@ fn curves(page: &mut String, report: &Report) {
 fn views(page: &mut String, report: &Report) {
     page.push_str("<h2>Views</h2>\n<p class=\"note\">All pictures share one tone curve. Albedo is shown after the scale it is judged at.</p>\n");
     let stops: Vec<String> = ERROR_COLOURS.iter().map(|c| css_colour(*c)).collect();
-    push(page, format_args!(
-        "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
+    push(
+        page,
+        format_args!(
+            "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
          <span>{ERROR_RANGE} and more, of 1</span><span class=\"swatch\" style=\"background:{}\"></span><span>not counted</span></div>\n",
-        stops.join(","), css_colour(UNCOUNTED)
-    ));
+            stops.join(","),
+            css_colour(UNCOUNTED)
+        ),
+    );
     page.push_str("<nav aria-label=\"Views\">");
     for (i, view) in report.views.iter().enumerate() {
         push(page, format_args!("<a class=\"{}\" href=\"#view-{i}\">{}</a>", split(view.split).0, escape(&view.name)));
@@ -155,10 +178,13 @@ fn views(page: &mut String, report: &Report) {
 
 fn panel(page: &mut String, index: usize, view: &ViewPanel) {
     let (class, name) = split(view.split);
-    push(page, format_args!(
-        "<section class=\"card view\" id=\"view-{index}\"><header><h3>{}</h3><span class=\"badge {class}\">{name}</span></header>\n<div class=\"columns\">\n",
-        escape(&view.name)
-    ));
+    push(
+        page,
+        format_args!(
+            "<section class=\"card view\" id=\"view-{index}\"><header><h3>{}</h3><span class=\"badge {class}\">{name}</span></header>\n<div class=\"columns\">\n",
+            escape(&view.name)
+        ),
+    );
     for Row { label, score, columns, truth, result, error } in &view.rows {
         push(page, format_args!("<div class=\"row\"><b>{label}</b>"));
         if let Some(s) = score {
@@ -166,12 +192,16 @@ fn panel(page: &mut String, index: usize, view: &ViewPanel) {
         }
         page.push_str("</div>\n");
         let [truth_name, result_name] = *columns;
-        for (picture, column) in [(truth.as_ref(), truth_name), (Some(result), result_name), (error.as_ref(), "Error")] {
+        for (picture, column) in [(truth.as_ref(), truth_name), (Some(result), result_name), (error.as_ref(), "Error")]
+        {
             match picture {
-                Some(picture) => push(page, format_args!(
-                    "<figure>{}<figcaption>{column}</figcaption></figure>\n",
-                    img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))
-                )),
+                Some(picture) => push(
+                    page,
+                    format_args!(
+                        "<figure>{}<figcaption>{column}</figcaption></figure>\n",
+                        img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))
+                    ),
+                ),
                 None => push(page, format_args!("<figure><div class=\"missing\">{column}: not known</div></figure>\n")),
             }
         }
@@ -180,14 +210,19 @@ fn panel(page: &mut String, index: usize, view: &ViewPanel) {
 }
 
 fn facts(page: &mut String, report: &Report) {
-    page.push_str("<h2>Run</h2>\n<div class=\"facts\">\n<div class=\"card\"><h3>Facts</h3><table style=\"margin-top:10px\">\n");
+    page.push_str(
+        "<h2>Run</h2>\n<div class=\"facts\">\n<div class=\"card\"><h3>Facts</h3><table style=\"margin-top:10px\">\n",
+    );
     for (name, value) in &report.facts {
         push(page, format_args!("<tr><th scope=\"row\">{}</th><td>{}</td></tr>\n", escape(name), escape(value)));
     }
-    push(page, format_args!(
-        "</table></div>\n<div class=\"card\"><h3>Settings</h3><pre>{}</pre></div>\n</div>\n",
-        escape(report.settings.trim())
-    ));
+    push(
+        page,
+        format_args!(
+            "</table></div>\n<div class=\"card\"><h3>Settings</h3><pre>{}</pre></div>\n</div>\n",
+            escape(report.settings.trim())
+        ),
+    );
 }
 
 fn img(picture: &Picture, alt: impl Display) -> String {

@@ -68,9 +68,13 @@ impl Picture {
 
     /// Absolute difference of two linear images as they are shown, mean over channels.
     pub fn linear_error(a: &Rgb, b: &Rgb, mask: &Mask) -> Result<Self, Failure> {
-        Self::error(a.data.iter().zip(&b.data).map(|(p, q)| {
-            (0..3).map(|c| (encode(p[c]) - encode(q[c])).abs()).sum::<f32>() / 3.0
-        }), mask)
+        Self::error(
+            a.data
+                .iter()
+                .zip(&b.data)
+                .map(|(p, q)| (0..3).map(|c| (encode(p[c]) - encode(q[c])).abs()).sum::<f32>() / 3.0),
+            mask,
+        )
     }
 
     /// Absolute difference of two images of values.
