@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, ValueEnum};
 use serde::{Deserialize, Serialize};
+use texir_core::backend::Sampling;
+use texir_core::fit::settings::FitSettings;
 
 use crate::cmd::Command;
 use crate::failure::Failure;
@@ -30,7 +32,7 @@ pub struct Common {
     /// Use the GPU adapter whose name contains NAME
     #[arg(long, global = true, value_name = "NAME")]
     pub adapter: Option<String>,
-    /// Seed of everything random; the same seed gives the same result on the same adapter [default: 1]
+    /// Seed of everything random; the same seed gives the same result on the same adapter [default: 0]
     #[arg(long, global = true, value_name = "N")]
     pub seed: Option<u32>,
     /// Take settings from a TOML file, such as the settings.toml of an earlier fit
@@ -61,7 +63,7 @@ pub enum BackendChoice {
 }
 
 /// A `--config` file, and what `settings.toml` holds.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Where the passes run.
@@ -69,30 +71,30 @@ pub struct Config {
     /// Part of the GPU adapter's name.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub adapter: Option<String>,
-    /// Seed of everything random.
-    pub seed: u32,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self { backend: BackendChoice::Auto, adapter: None, seed: 1 }
-    }
+    /// The fit, and the seed of everything random.
+    pub fit: FitSettings,
 }
 
 impl Config {
     /// The file's settings, where one is given, under the typed ones.
     pub fn resolve(common: &Common) -> Result<Self, Failure> {
         let file = common.config.as_deref().map(Self::read).transpose()?.unwrap_or_default();
+        let seed = common.seed.unwrap_or(file.fit.seed);
         let config = Self {
             backend: common.backend.unwrap_or(file.backend),
-            adapter: common.adapter.clone().or_else(|| file.adapter.clone()),
-            seed: common.seed.unwrap_or(file.seed),
+            adapter: common.adapter.clone().or(file.adapter),
+            fit: FitSettings { seed, ..file.fit },
         };
         if let (BackendChoice::Cpu, Some(adapter)) = (config.backend, &config.adapter) {
             return Err(Failure::new(format!("adapter \"{adapter}\" is a GPU's, but the backend is `cpu`"))
                 .help("leave out --adapter, or use --backend gpu"));
         }
         Ok(config)
+    }
+
+    /// `samples` from the run's seed.
+    pub fn sampling(&self, samples: u32) -> Sampling {
+        Sampling { samples, seed: self.fit.seed }
     }
 
     fn read(path: &Path) -> Result<Self, Failure> {
@@ -122,18 +124,18 @@ mod tests {
     #[test]
     fn typed_options_win_over_the_file() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), "seed = 7\nbackend = \"cpu\"\n").unwrap();
+        std::fs::write(file.path(), "backend = \"cpu\"\n[fit]\nseed = 7\n").unwrap();
         let path = file.path().to_str().unwrap();
         let config = Config::resolve(&common(&["--config", path])).unwrap();
-        assert_eq!((config.seed, config.backend), (7, BackendChoice::Cpu));
+        assert_eq!((config.fit.seed, config.backend), (7, BackendChoice::Cpu));
         let config = Config::resolve(&common(&["--config", path, "--seed", "9"])).unwrap();
-        assert_eq!((config.seed, config.backend), (9, BackendChoice::Cpu));
+        assert_eq!((config.fit.seed, config.backend), (9, BackendChoice::Cpu));
     }
 
     #[test]
     fn mistakes_name_the_file_and_the_field() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), "sede = 7\n").unwrap();
+        std::fs::write(file.path(), "[fit]\nsede = 7\n").unwrap();
         let path = file.path().to_str().unwrap();
         let error = Config::resolve(&common(&["--config", path])).unwrap_err().to_string();
         assert!(error.contains(path) && error.contains("sede"), "{error}");
@@ -142,7 +144,8 @@ mod tests {
 
     #[test]
     fn a_written_configuration_reads_back() {
-        let text = toml::to_string_pretty(&Config { seed: 3, ..Config::default() }).unwrap();
-        assert_eq!(toml::from_str::<Config>(&text).unwrap().seed, 3);
+        let config = Config { fit: FitSettings { seed: 3, ..FitSettings::default() }, ..Config::default() };
+        let text = toml::to_string_pretty(&config).unwrap();
+        assert_eq!(toml::from_str::<Config>(&text).unwrap().fit, config.fit);
     }
 }

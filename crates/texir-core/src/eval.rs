@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
-use crate::render::{RenderedView, Renderer, Textures};
+use crate::render::{Renderer, Surfaces, Textures};
 
 /// MSE below which PSNR stops growing (120 dB): below what `f32` images resolve, and finite in JSON.
 const MSE_FLOOR: f64 = 1e-12;
@@ -131,8 +131,10 @@ pub struct Evaluated<'a> {
     pub view: &'a View,
     /// The captured image, linear radiance.
     pub image: &'a Rgb,
-    /// The view rendered from the result.
-    pub rendered: &'a RenderedView,
+    /// The view rendered from the result, linear radiance.
+    pub rendered: &'a Rgb,
+    /// What the view shows of the result's textures.
+    pub surfaces: &'a Surfaces,
     /// True linear albedo.
     pub albedo: Option<&'a Rgb>,
     /// True perceptual roughness.
@@ -151,7 +153,7 @@ pub fn evaluate(
     capture: &Capture,
     textures: &Textures,
     progress: &dyn Progress,
-    show: &mut dyn FnMut(&Evaluated<'_>) -> Result<()>,
+    show: &mut dyn FnMut(&Evaluated<'_>),
 ) -> Result<Evaluation> {
     let truth = capture.truth.as_ref().map(|truth| Textures {
         albedo: truth.albedo.clone(),
@@ -165,23 +167,21 @@ pub fn evaluate(
     let mut ceiling = truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
     for view in &capture.views {
         let observed = Observed::load(view, progress)?;
-        let (rendered, mask) = result.evaluate(renderer, view, &observed, progress)?;
+        let shown = result.evaluate(renderer, view, &observed, progress)?;
         if let Some(ceiling) = &mut ceiling {
             ceiling.evaluate(renderer, view, &observed, progress)?;
         }
         show(&Evaluated {
             view,
             image: &observed.image,
-            rendered: &rendered,
+            rendered: &shown.rendered,
+            surfaces: &shown.surfaces,
             albedo: observed.albedo.as_ref(),
             roughness: observed.roughness.as_ref(),
-            albedo_scale: observed
-                .albedo
-                .as_ref()
-                .and_then(|truth| AlbedoSums::of(&rendered.surfaces.albedo, truth, &mask).scale()),
-            mask: &mask,
+            albedo_scale: shown.albedo_scale,
+            mask: &shown.mask,
             scores: result.views.last().copied().unwrap_or_default(),
-        })?;
+        });
     }
     progress.finish();
     Ok(Evaluation {
@@ -255,35 +255,37 @@ impl<'a> Subject<'a> {
         view: &View,
         observed: &Observed,
         progress: &dyn Progress,
-    ) -> Result<(RenderedView, Mask)> {
-        let rendered = renderer.render(&view.camera, self.textures, progress)?;
-        let mask = observed.mask.clone().unwrap_or_else(|| rendered.surfaces.reflective());
-        let albedo = match &observed.albedo {
-            Some(truth) => self.albedo(&rendered.surfaces.albedo, truth, &mask)?,
-            None => None,
+    ) -> Result<Shown> {
+        let surfaces = renderer.surfaces(&view.camera, self.textures)?;
+        let mask = observed.mask.clone().unwrap_or_else(|| surfaces.reflective());
+        let albedo_scale =
+            observed.albedo.as_ref().and_then(|truth| AlbedoSums::of(&surfaces.albedo, truth, &mask).scale());
+        let albedo = match (&observed.albedo, albedo_scale) {
+            (Some(truth), Some(scale)) => self.albedo(&surfaces.albedo, truth, scale, &mask)?,
+            _ => None,
         };
         let roughness = match &observed.roughness {
-            Some(truth) => compare(&rendered.surfaces.roughness, truth, &mask)?,
+            Some(truth) => compare(&surfaces.roughness, truth, &mask)?,
             None => None,
         };
-        let image = compare(&encoded(&rendered.radiance), &encoded(&observed.image), &mask)?;
+        let rendered = renderer.render(&view.camera, self.textures, progress)?;
+        let image = compare(&encoded(&rendered), &encoded(&observed.image), &mask)?;
         self.views.push(Scores { albedo, roughness, image });
-        Ok((rendered, mask))
+        Ok(Shown { rendered, surfaces, mask, albedo_scale })
     }
 
-    fn albedo(&self, albedo: &Rgb, truth: &Rgb, mask: &Mask) -> Result<Option<AlbedoScore>> {
-        let Some(own_scale) = AlbedoSums::of(albedo, truth, mask).scale() else { return Ok(None) };
-        let per_image = scaled(albedo, own_scale);
-        let global = scaled(albedo, self.global_scale.unwrap_or(own_scale));
-        let (Some(per_image_encoded), Some(global_encoded), Some(per_image_linear), Some(global_linear)) = (
-            compare(&encoded(&per_image), &encoded(truth), mask)?,
-            compare(&encoded(&global), &encoded(truth), mask)?,
-            compare(&per_image, truth, mask)?,
-            compare(&global, truth, mask)?,
+    fn albedo(&self, albedo: &Rgb, truth: &Rgb, own_scale: f64, mask: &Mask) -> Result<Option<AlbedoScore>> {
+        let own = scaled(albedo, own_scale);
+        let common = scaled(albedo, self.global_scale.unwrap_or(own_scale));
+        let (Some(per_image), Some(global), Some(per_image_linear), Some(global_linear)) = (
+            compare(&encoded(&own), &encoded(truth), mask)?,
+            compare(&encoded(&common), &encoded(truth), mask)?,
+            compare(&own, truth, mask)?,
+            compare(&common, truth, mask)?,
         ) else {
             return Ok(None);
         };
-        Ok(Some(AlbedoScore { per_image: per_image_encoded, global: global_encoded, per_image_linear, global_linear }))
+        Ok(Some(AlbedoScore { per_image, global, per_image_linear, global_linear }))
     }
 
     fn table(&self, capture: &Capture) -> Table {
@@ -294,6 +296,14 @@ impl<'a> Subject<'a> {
         };
         Table { train: split(Split::Train), novel: split(Split::Novel), global_albedo_scale: self.global_scale }
     }
+}
+
+/// A view as a subject shows it.
+struct Shown {
+    rendered: Rgb,
+    surfaces: Surfaces,
+    mask: Mask,
+    albedo_scale: Option<f64>,
 }
 
 /// Sums of the least-squares scale s = Σ a·t / Σ a·a from albedo a to truth t.

@@ -80,11 +80,11 @@ pub struct Row {
 impl ViewPanel {
     /// The panel of a view as it is evaluated. Albedo is shown at the scale it is judged at.
     pub fn new(evaluated: &Evaluated<'_>) -> Result<Self, Failure> {
-        let Evaluated { view, image, rendered, mask, scores, .. } = evaluated;
+        let Evaluated { view, image, rendered, surfaces, mask, scores, .. } = evaluated;
         let Scores { albedo: albedo_score, roughness: roughness_score, image: image_score } = *scores;
         let scale = evaluated.albedo_scale.unwrap_or(1.0) as f32;
-        let albedo = rendered.surfaces.albedo.map(|p| p.map(|c| c * scale));
-        let roughness = &rendered.surfaces.roughness;
+        let albedo = surfaces.albedo.map(|p| p.map(|c| c * scale));
+        let roughness = &surfaces.roughness;
         let rows = vec![
             Row {
                 label: match view.split {
@@ -94,8 +94,8 @@ impl ViewPanel {
                 score: image_score,
                 columns: ["Captured", "Rendered"],
                 truth: Some(Picture::linear(image)?),
-                result: Picture::linear(&rendered.radiance)?,
-                error: Some(Picture::linear_error(&rendered.radiance, image, mask)?),
+                result: Picture::linear(rendered)?,
+                error: Some(Picture::linear_error(rendered, image, mask)?),
             },
             Row {
                 label: "Albedo",

@@ -1,32 +1,25 @@
 //! The page's HTML. Nothing is fetched: style, pictures and charts are in the file.
 
-use std::fmt::{Display, Write};
+use std::fmt::Display;
 
 use texir_core::capture::Split;
-use texir_core::eval::{Score, Table};
+
+use crate::figures::{FIGURES, Figure};
 
 use super::picture::{ERROR_COLOURS, ERROR_RANGE, Picture, UNCOUNTED};
 use super::{Report, Row, TextureFigure, ViewPanel};
 
-/// A row of figures: its name, whether it is a side note, and where it is found in a table.
-type FigureRow = (&'static str, bool, fn(&Table) -> Option<Score>);
-
-const FIGURES: [FigureRow; 7] = [
-    ("Albedo, one scale per image", false, |t| t.train.albedo.map(|a| a.per_image)),
-    ("Albedo, one scale for all views", true, |t| t.train.albedo.map(|a| a.global)),
-    ("Roughness", false, |t| t.train.roughness),
-    ("Re-rendering", false, |t| t.train.image),
-    ("Novel views", false, |t| t.novel.image),
-    ("Albedo in novel views", true, |t| t.novel.albedo.map(|a| a.per_image)),
-    ("Roughness in novel views", true, |t| t.novel.roughness),
-];
+/// Appends formatted text.
+macro_rules! push {
+    ($page:expr, $($text:tt)*) => { $page.push_str(&format!($($text)*)) };
+}
 
 /// The whole page.
 pub fn html(report: &Report) -> String {
     let mut page = String::from("<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n");
     page += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
-    push(&mut page, format_args!("<title>{} · texir</title>\n", escape(&report.title)));
-    push(&mut page, format_args!("<style>\n{}</style>\n<main>\n", include_str!("style.css")));
+    push!(page, "<title>{} · texir</title>\n", escape(&report.title));
+    push!(page, "<style>\n{}</style>\n<main>\n", include_str!("style.css"));
     header(&mut page, report);
     figures(&mut page, report);
     textures(&mut page, report);
@@ -34,23 +27,23 @@ pub fn html(report: &Report) -> String {
     curves(&mut page, report);
     views(&mut page, report);
     facts(&mut page, report);
-    push(&mut page, format_args!("<footer>Written by texir {}.</footer>\n</main>\n", env!("CARGO_PKG_VERSION")));
+    push!(page, "<footer>Written by texir {}.</footer>\n</main>\n", env!("CARGO_PKG_VERSION"));
     page
 }
 
 fn header(page: &mut String, report: &Report) {
     page.push_str("<header>\n<p class=\"eyebrow\">texir · inverse rendering</p>\n");
-    push(page, format_args!("<h1>{}</h1>\n<p class=\"lede\">{}</p>\n", escape(&report.title), escape(&report.summary)));
+    push!(page, "<h1>{}</h1>\n<p class=\"lede\">{}</p>\n", escape(&report.title), escape(&report.summary));
     page.push_str("</header>\n<div class=\"tiles\">\n");
     let evaluation = &report.evaluation;
-    for (name, _, of) in FIGURES.iter().filter(|(_, minor, _)| !minor) {
+    for Figure { name, of, .. } in FIGURES.iter().filter(|f| !f.minor) {
         let Some(score) = of(&evaluation.result) else { continue };
         let name = name.split(',').next().unwrap_or(name);
-        push(page, format_args!("<div class=\"card tile\"><div class=\"label\">{name}</div>"));
-        push(page, format_args!("<div class=\"value\">{:.2}<small>dB</small></div>", score.psnr));
+        push!(page, "<div class=\"card tile\"><div class=\"label\">{name}</div>");
+        push!(page, "<div class=\"value\">{:.2}<small>dB</small></div>", score.psnr);
         match evaluation.ceiling.as_ref().and_then(of) {
-            Some(ceiling) => push(page, format_args!("<div class=\"beside\">true materials {:.2}</div>", ceiling.psnr)),
-            None => push(page, format_args!("<div class=\"beside\">SSIM {:.3}</div>", score.ssim)),
+            Some(ceiling) => push!(page, "<div class=\"beside\">true materials {:.2}</div>", ceiling.psnr),
+            None => push!(page, "<div class=\"beside\">SSIM {:.3}</div>", score.ssim),
         }
         page.push_str("</div>\n");
     }
@@ -72,22 +65,17 @@ fn figures(page: &mut String, report: &Report) {
         );
     }
     page.push_str("</tr></thead>\n<tbody>\n");
-    for (name, minor, of) in FIGURES {
+    for Figure { name, minor, of } in &FIGURES {
         let Some(score) = of(&evaluation.result) else { continue };
-        let class = if minor { " class=\"minor\"" } else { "" };
-        push(page, format_args!("<tr{class}><th scope=\"row\">{name}</th>"));
-        push(
-            page,
-            format_args!(
-                "<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>",
-                score.psnr, score.ssim, score.mse
-            ),
-        );
+        let class = if *minor { " class=\"minor\"" } else { "" };
+        push!(page, "<tr{class}><th scope=\"row\">{name}</th>");
+        push!(page, "<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>",
+                score.psnr, score.ssim, score.mse);
         if let Some(ceiling) = &evaluation.ceiling {
             match of(ceiling) {
                 Some(s) => {
                     for (value, digits) in [(s.psnr, 2), (s.ssim, 4), (s.mse, 4)] {
-                        push(page, format_args!("<td class=\"ceiling\">{value:.digits$}</td>"));
+                        push!(page, "<td class=\"ceiling\">{value:.digits$}</td>");
                     }
                 }
                 None => page.push_str("<td class=\"ceiling\" colspan=\"3\"></td>"),
@@ -96,10 +84,7 @@ fn figures(page: &mut String, report: &Report) {
         page.push_str("</tr>\n");
     }
     page.push_str("</tbody></table></div>\n");
-    push(
-        page,
-        format_args!(
-            "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
+    push!(page, "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
          page, clamp(x<sup>1/2.2</sup>, 0, 1); roughness as it is. PSNR is that of the mean squared error over views; {} \
          samples a pixel. {}</p>\n",
             evaluation.samples,
@@ -108,16 +93,14 @@ fn figures(page: &mut String, report: &Report) {
              these inputs can be expected to reach."
             } else {
                 "The capture has no true textures, so no ceiling is known."
-            }
-        ),
-    );
+            });
 }
 
 fn textures(page: &mut String, report: &Report) {
     page.push_str("<h2>Textures</h2>\n<p class=\"note\">What was recovered, in the atlas of the mesh.</p>\n<div class=\"textures\">\n");
     for TextureFigure { name, note, picture } in &report.textures {
-        push(page, format_args!("<figure>{}", img(picture, name)));
-        push(page, format_args!("<figcaption><b>{name}</b> {}</figcaption></figure>\n", escape(note)));
+        push!(page, "<figure>{}", img(picture, name));
+        push!(page, "<figcaption><b>{name}</b> {}</figcaption></figure>\n", escape(note));
     }
     page.push_str("</div>\n");
 }
@@ -125,10 +108,7 @@ fn textures(page: &mut String, report: &Report) {
 fn rooms(page: &mut String, report: &Report) {
     let Some(plan) = &report.rooms else { return };
     page.push_str("<h2>Rooms</h2>\n<p class=\"note\">Found in the mesh, seen from above. Surfaces of one class in one room share their roughness prior.</p>\n");
-    push(
-        page,
-        format_args!("<div class=\"card plan\"><figure>{}</figure></div>\n", img(plan, "Floor plan with rooms")),
-    );
+    push!(page, "<div class=\"card plan\"><figure>{}</figure></div>\n", img(plan, "Floor plan with rooms"));
 }
 
 fn curves(page: &mut String, report: &Report) {
@@ -137,19 +117,14 @@ fn curves(page: &mut String, report: &Report) {
     }
     page.push_str("<h2>Loss</h2>\n<p class=\"note\">Means over epochs, logarithmic. Each stage has its own loss: heights do not compare between charts.</p>\n<div class=\"key\">");
     for (name, variable) in [("total", "total"), ("image term", "image"), ("smoothness term", "smooth")] {
-        push(page, format_args!("<span style=\"--c:var(--{variable})\">{name}</span>"));
+        push!(page, "<span style=\"--c:var(--{variable})\">{name}</span>");
     }
     page.push_str("</div>\n<div class=\"curves\">\n");
     for curve in &report.curves {
-        push(
-            page,
-            format_args!(
-                "<div class=\"card curve\"><header><h3>Stage {}</h3><span>ends at {:.4}</span></header>{}</div>\n",
+        push!(page, "<div class=\"card curve\"><header><h3>Stage {}</h3><span>ends at {:.4}</span></header>{}</div>\n",
                 escape(&curve.stage),
                 curve.last,
-                curve.svg
-            ),
-        );
+                curve.svg);
     }
     page.push_str("</div>\n");
 }
@@ -157,18 +132,13 @@ fn curves(page: &mut String, report: &Report) {
 fn views(page: &mut String, report: &Report) {
     page.push_str("<h2>Views</h2>\n<p class=\"note\">All pictures share one tone curve. Albedo is shown after the scale it is judged at.</p>\n");
     let stops: Vec<String> = ERROR_COLOURS.iter().map(|c| css_colour(*c)).collect();
-    push(
-        page,
-        format_args!(
-            "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
+    push!(page, "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
          <span>{ERROR_RANGE} and more, of 1</span><span class=\"swatch\" style=\"background:{}\"></span><span>not counted</span></div>\n",
             stops.join(","),
-            css_colour(UNCOUNTED)
-        ),
-    );
+            css_colour(UNCOUNTED));
     page.push_str("<nav aria-label=\"Views\">");
     for (i, view) in report.views.iter().enumerate() {
-        push(page, format_args!("<a class=\"{}\" href=\"#view-{i}\">{}</a>", split(view.split).0, escape(&view.name)));
+        push!(page, "<a class=\"{}\" href=\"#view-{i}\">{}</a>", split(view.split).0, escape(&view.name));
     }
     page.push_str("</nav>\n");
     for (i, view) in report.views.iter().enumerate() {
@@ -178,31 +148,21 @@ fn views(page: &mut String, report: &Report) {
 
 fn panel(page: &mut String, index: usize, view: &ViewPanel) {
     let (class, name) = split(view.split);
-    push(
-        page,
-        format_args!(
-            "<section class=\"card view\" id=\"view-{index}\"><header><h3>{}</h3><span class=\"badge {class}\">{name}</span></header>\n<div class=\"columns\">\n",
-            escape(&view.name)
-        ),
-    );
+    push!(page, "<section class=\"card view\" id=\"view-{index}\"><header><h3>{}</h3><span class=\"badge {class}\">{name}</span></header>\n<div class=\"columns\">\n",
+            escape(&view.name));
     for Row { label, score, columns, truth, result, error } in &view.rows {
-        push(page, format_args!("<div class=\"row\"><b>{label}</b>"));
+        push!(page, "<div class=\"row\"><b>{label}</b>");
         if let Some(s) = score {
-            push(page, format_args!("<span>PSNR {:.2} dB · SSIM {:.3}</span>", s.psnr, s.ssim));
+            push!(page, "<span>PSNR {:.2} dB · SSIM {:.3}</span>", s.psnr, s.ssim);
         }
         page.push_str("</div>\n");
         let [truth_name, result_name] = *columns;
         for (picture, column) in [(truth.as_ref(), truth_name), (Some(result), result_name), (error.as_ref(), "Error")]
         {
             match picture {
-                Some(picture) => push(
-                    page,
-                    format_args!(
-                        "<figure>{}<figcaption>{column}</figcaption></figure>\n",
-                        img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))
-                    ),
-                ),
-                None => push(page, format_args!("<figure><div class=\"missing\">{column}: not known</div></figure>\n")),
+                Some(picture) => push!(page, "<figure>{}<figcaption>{column}</figcaption></figure>\n",
+                        img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))),
+                None => push!(page, "<figure><div class=\"missing\">{column}: not known</div></figure>\n"),
             }
         }
     }
@@ -214,15 +174,10 @@ fn facts(page: &mut String, report: &Report) {
         "<h2>Run</h2>\n<div class=\"facts\">\n<div class=\"card\"><h3>Facts</h3><table style=\"margin-top:10px\">\n",
     );
     for (name, value) in &report.facts {
-        push(page, format_args!("<tr><th scope=\"row\">{}</th><td>{}</td></tr>\n", escape(name), escape(value)));
+        push!(page, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>\n", escape(name), escape(value));
     }
-    push(
-        page,
-        format_args!(
-            "</table></div>\n<div class=\"card\"><h3>Settings</h3><pre>{}</pre></div>\n</div>\n",
-            escape(report.settings.trim())
-        ),
-    );
+    push!(page, "</table></div>\n<div class=\"card\"><h3>Settings</h3><pre>{}</pre></div>\n</div>\n",
+            escape(report.settings.trim()));
 }
 
 fn img(picture: &Picture, alt: impl Display) -> String {
@@ -244,8 +199,4 @@ fn css_colour([r, g, b]: [u8; 3]) -> String {
 
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-fn push(page: &mut String, text: std::fmt::Arguments<'_>) {
-    page.write_fmt(text).expect("writing to a string does not fail");
 }
