@@ -12,8 +12,8 @@ const LEVEL_BIN: f32 = 0.02;
 const CEILING_SHARE: f32 = 0.05;
 /// Empty cells around the mesh, so that everything has an outside.
 const MARGIN: usize = 3;
-/// Cells of the largest plan that is made: 8 km² at 5 cm is a wrong unit or a stray vertex, not a building.
-const MAX_CELLS: f64 = 3.2e9 / 64.0;
+/// Cells of the largest plan that is made: more than 400 m × 400 m at 5 cm is a wrong unit or a stray vertex.
+const MAX_CELLS: f64 = 6.4e7;
 
 /// The columns over a floor plan. Plan coordinates: x and y in the floor's plane, z up, metres.
 pub(super) struct Columns {
@@ -28,7 +28,7 @@ pub(super) struct Columns {
     /// Height of the floor.
     pub floor: f32,
     /// Height of the highest ceiling.
-    top: f32,
+    pub top: f32,
     /// Per cell, bit i set: some surface passes through slice i of the 64 between floor and top.
     filled: Vec<u64>,
     /// Per cell, the highest floor, table or ceiling; −∞ where there is nothing.
@@ -47,7 +47,7 @@ impl Columns {
             .flatten()
             .filter(|p| p.is_finite())
             .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
-        if !(lo.x <= hi.x) {
+        if lo.x > hi.x {
             return Err(Error::invalid("the mesh has no triangle with finite corners: no floor plan can be made"));
         }
         let extent = ((hi - lo) / cell).ceil();
@@ -122,12 +122,12 @@ impl Columns {
         for y in self.index(y0, 1)..=self.index(y1, 1) {
             let row = whole.slab(1, self.origin.y + y as f32 * self.cell, self.cell);
             let (x0, x1) = row.range(0);
-            if !(x0 <= x1) {
+            if x0 > x1 {
                 continue;
             }
             for x in self.index(x0, 0)..=self.index(x1, 0) {
                 let (z0, z1) = row.slab(0, self.origin.x + x as f32 * self.cell, self.cell).range(2);
-                if !(z0 <= z1) {
+                if z0 > z1 {
                     continue;
                 }
                 let cell = y * self.width + x;
@@ -161,7 +161,8 @@ fn levels(triangles: impl Iterator<Item = [Vec3; 3]>, lo: f32, hi: f32, eye: f32
         }
     }
     let height = |bin: usize| lo + bin as f32 / (bins - 1).max(1) as f32 * (hi - lo);
-    let largest = |range: std::ops::Range<usize>| range.filter(|&b| area[b] > 0.0).max_by(|&a, &b| area[a].total_cmp(&area[b]));
+    let largest =
+        |range: std::ops::Range<usize>| range.filter(|&b| area[b] > 0.0).max_by(|&a, &b| area[a].total_cmp(&area[b]));
     let eye = bin(eye);
     let floor = largest(0..eye).map_or(lo, height);
     let top = largest(eye..bins)
@@ -186,9 +187,11 @@ impl From<[Vec3; 3]> for Polygon {
 }
 
 impl Polygon {
-    /// The part with `from ≤ coordinate ≤ from + size` along an axis.
+    /// The part with `from ≤ coordinate ≤ from + size` along an axis, a little fattened: a wall exactly on the border of
+    /// two cells must not fall between them by rounding.
     fn slab(&self, axis: usize, from: f32, size: f32) -> Self {
-        self.clip(|p| p[axis] - from).clip(|p| from + size - p[axis])
+        const FAT: f32 = 1e-3;
+        self.clip(|p| p[axis] - from + FAT * size).clip(|p| from + (1.0 + FAT) * size - p[axis])
     }
 
     /// The part where a linear function is not negative.
@@ -229,10 +232,9 @@ mod tests {
 
     #[test]
     fn a_tilted_triangle_touches_exactly_the_cells_that_it_overlaps() {
-        let triangle = [Vec3::new(0.03, 0.02, 0.0), Vec3::new(0.93, 0.11, 1.0), Vec3::new(0.31, 0.77, 2.0)];
+        let triangle = [Vec3::new(0.03, 0.02, 0.0), Vec3::new(0.93, 0.11, 2.0), Vec3::new(0.31, 0.77, 4.0)];
         let columns = Columns::new([triangle].into_iter(), 0.1, |_, _| 1.0).unwrap();
-        // Brute force: dense points of the triangle. Every cell with a point is touched; a touched cell without one is
-        // only grazed, so that its neighbourhood must have one.
+        // Brute force: dense points of the triangle. A touched cell without one is grazed at a corner.
         let mut reached = vec![false; columns.filled.len()];
         for i in 0..=600 {
             for j in 0..=600 - i {
