@@ -7,7 +7,7 @@ use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::bake;
 use texir_core::capture::{self, LoadOptions};
-use texir_core::image_io::{read_rgb, sanitise_radiance, write_rgb};
+use texir_core::image_io::write_rgb;
 use texir_core::mesh_io::read_mesh;
 use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
@@ -64,7 +64,8 @@ impl Bake {
         backend.set_tbl(&radiance)?;
         let (width, height) = self.size.map_or(radiance.size(), |side| (side, side));
         let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
-        let irradiance = bake::irradiance(backend.as_mut(), &atlas, session.config.sampling(self.spp), session.console)?;
+        let irradiance =
+            bake::irradiance(backend.as_mut(), &atlas, session.config.sampling(self.spp), session.console)?;
         write_rgb(&self.output, &irradiance)?;
         let texels = atlas.texels.len();
         let rays = texels as u64 * u64::from(self.spp);
@@ -89,12 +90,8 @@ impl Bake {
         };
         let file = read_mesh(&self.input)?;
         file.warnings.iter().for_each(|warning| session.console.warn(warning));
-        let mut radiance = read_rgb(texture)?;
-        let repaired = sanitise_radiance(&mut radiance);
-        if !repaired.is_clean() {
-            session.console.warn(&format!("{}: {repaired}", texture.display()));
-        }
-        Ok((Scene::new(file.mesh)?, Light::Texture(radiance)))
+        let tbl = capture::Tbl::read(texture, session.console)?;
+        Ok((Scene::new(file.mesh)?, Light::Texture(tbl.radiance)))
     }
 }
 

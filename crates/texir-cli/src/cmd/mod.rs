@@ -49,7 +49,8 @@ impl Session<'_> {
     /// Prints a result on standard output.
     fn print(&self, result: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
         let text = if self.json {
-            serde_json::to_string_pretty(result).map_err(|e| Failure::new(format!("the result has no JSON form: {e}")))?
+            serde_json::to_string_pretty(result)
+                .map_err(|e| Failure::new(format!("the result has no JSON form: {e}")))?
         } else {
             text()
         };

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
+use texir_core::backend::Backend;
 use texir_core::capture::{self, Capture, Coverage, Split, View};
 use texir_core::scene::Scene;
-use texir_core::backend::Backend;
 use texir_core::tbl::{self, TblOptions};
 
 use super::{CaptureArgs, Session};
@@ -46,7 +46,7 @@ impl Tbl {
         let scene = Scene::new(capture.mesh.clone())?;
         let mut backend = device::open(&scene, session.config, session.console)?;
         let texture = build(backend.as_mut(), &scene, &capture, self.size, session)?;
-        tbl::write(&self.output, &texture)?;
+        texture.write(&self.output)?;
         let count = |coverage| texture.coverage.data.iter().filter(|c| **c == coverage).count();
         let summary = Summary {
             output: self.output.clone(),
@@ -71,5 +71,5 @@ pub fn build(
     session: &Session<'_>,
 ) -> Result<capture::Tbl, Failure> {
     let views: Vec<View> = capture.views(Split::Train).cloned().collect();
-    Ok(tbl::build(backend, scene, &views, (size, size), &TblOptions::default(), session.console)?)
+    Ok(tbl::fuse(backend,scene,&views.iter().map(|v|v.camera).collect::<Vec<_>>(),&mut |i| views[i].load_image(session.console),(size, size), &TblOptions::default(), session.console)?)
 }
