@@ -8,6 +8,7 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::surface::{Hit, SurfacePoint};
@@ -52,6 +53,26 @@ pub struct ShadePoint {
     pub irradiance: [f32; 3],
     /// Keeps the WGSL layout.
     pub pad2: f32,
+}
+
+impl ShadePoint {
+    /// The point that pixel index `pixel` of a view sees, shaded on the camera's side.
+    pub fn new(mesh: &Mesh, camera: &Camera, pixel: u32, hit: &Hit, irradiance: [f32; 3]) -> Self {
+        let x = (pixel as usize % camera.width) as f32 + 0.5;
+        let y = (pixel as usize / camera.width) as f32 + 0.5;
+        let to_camera = -camera.direction(x, y);
+        let surface = SurfacePoint::new(mesh, hit, Some(to_camera));
+        Self {
+            position: surface.position,
+            sequence: pixel,
+            normal: surface.normal,
+            pad0: 0.0,
+            view: to_camera.to_array(),
+            pad1: 0.0,
+            irradiance,
+            pad2: 0.0,
+        }
+    }
 }
 
 /// The BRDF's parameters at one point.

@@ -1,1 +1,4 @@
 //! The fit.
+
+pub mod adam;
+pub mod settings;
