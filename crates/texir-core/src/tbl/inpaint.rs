@@ -75,7 +75,11 @@ impl Known {
             .par_iter()
             .map(|place| {
                 let mean = (0..self.levels.len()).find_map(|level| self.around(place, level)).unwrap_or(self.all);
-                if mean.weight > 0.0 { ((mean.sum / mean.weight).map(f32::exp) - BLACK).max(Vec3::ZERO).into() } else { [0.0; 3] }
+                if mean.weight > 0.0 {
+                    ((mean.sum / mean.weight).map(f32::exp) - BLACK).max(Vec3::ZERO).into()
+                } else {
+                    [0.0; 3]
+                }
             })
             .collect()
     }

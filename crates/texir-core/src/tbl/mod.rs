@@ -150,7 +150,8 @@ fn fill_gutter(radiance: &mut Rgb, coverage: &Raster<Coverage>, rings: usize) {
                 let around = (y.saturating_sub(1)..(y + 2).min(h))
                     .flat_map(|ny| (x.saturating_sub(1)..(x + 2).min(w)).map(move |nx| ny * w + nx))
                     .filter(|&n| filled[n]);
-                let (sum, count) = around.fold((Vec3::ZERO, 0.0), |(s, n), i| (s + Vec3::from(radiance.data[i]), n + 1.0));
+                let (sum, count) =
+                    around.fold((Vec3::ZERO, 0.0), |(s, n), i| (s + Vec3::from(radiance.data[i]), n + 1.0));
                 (count > 0.0).then(|| (i, (sum / count).into()))
             })
             .collect();

@@ -146,7 +146,8 @@ fn pixels_per_radian(camera: &Camera, y: f32) -> Vec2 {
     match camera.projection {
         Projection::Equirectangular => {
             let sin = (std::f32::consts::PI * y / camera.height as f32).sin();
-            let (columns, rows) = (camera.width as f32 / std::f32::consts::TAU, camera.height as f32 / std::f32::consts::PI);
+            let (columns, rows) =
+                (camera.width as f32 / std::f32::consts::TAU, camera.height as f32 / std::f32::consts::PI);
             Vec2::new(columns / sin.max(1.0 / camera.width as f32), rows)
         }
         Projection::Pinhole { fx, fy, .. } => Vec2::new(fx.abs(), fy.abs()),
