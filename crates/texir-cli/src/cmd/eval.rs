@@ -6,6 +6,7 @@ use clap::Args;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::{self, Capture, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
+use texir_core::lights::Lights;
 use texir_core::outputs::{FitOutput, METRICS, RUN, Run};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -52,7 +53,7 @@ pub fn of_output(
 ) -> Result<Evaluation, Failure> {
     let scene = Scene::new(output.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
-    backend.set_tbl(&output.tbl.radiance)?;
+    backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
     let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(samples));
     Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
 }

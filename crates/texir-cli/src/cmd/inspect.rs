@@ -8,7 +8,7 @@ use texir_core::backend::Backend;
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::{Capture, Split, View};
 use texir_core::cpu::CpuBackend;
-use texir_core::fit::settings::FitSettings;
+use texir_core::fit::FitSettings;
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
 use texir_core::scene::Scene;

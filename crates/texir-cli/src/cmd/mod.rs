@@ -2,6 +2,7 @@
 
 mod bake;
 mod eval;
+mod fit;
 mod inspect;
 mod render;
 mod report;
@@ -27,6 +28,8 @@ pub enum Command {
     Tbl(tbl::Tbl),
     /// Bake irradiance: what light arrives at every texel of the atlas
     Bake(bake::Bake),
+    /// Fit materials to a capture: albedo, roughness, irradiance, a GLB, figures and a report
+    Fit(fit::Fit),
     /// Render the result of a fit from other cameras
     Render(render::Render),
     /// Compare the result of a fit with the truth, beside what true materials would reach
@@ -65,6 +68,7 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
         Command::Inspect(command) => command.run(session),
         Command::Tbl(command) => command.run(session),
         Command::Bake(command) => command.run(session),
+        Command::Fit(command) => command.run(session),
         Command::Render(command) => command.run(session),
         Command::Eval(command) => command.run(session),
         Command::Report(command) => command.run(session),

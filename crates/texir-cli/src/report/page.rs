@@ -117,7 +117,7 @@ fn curves(page: &mut String, report: &Report) {
     if report.curves.is_empty() {
         return;
     }
-    page.push_str("<h2>Loss</h2>\n<p class=\"note\">Means over epochs, logarithmic. Each stage has its own loss: heights do not compare between charts.</p>\n<div class=\"key\">");
+    page.push_str("<h2>Loss</h2>\n<p class=\"note\">Mean of each epoch, logarithmic. Each stage has its own loss: heights do not compare between charts.</p>\n<div class=\"key\">");
     for (name, variable) in [("total", "total"), ("image term", "image"), ("smoothness term", "smooth")] {
         push!(page, "<span style=\"--c:var(--{variable})\">{name}</span>");
     }
@@ -125,8 +125,8 @@ fn curves(page: &mut String, report: &Report) {
     for curve in &report.curves {
         push!(
             page,
-            "<div class=\"card curve\"><header><h3>Stage {}</h3><span>ends at {:.4}</span></header>{}</div>\n",
-            escape(&curve.stage),
+            "<div class=\"card curve\"><header><h3>Stage {:?}</h3><span>ends at {:.4}</span></header>{}</div>\n",
+            curve.stage,
             curve.last,
             curve.svg
         );
