@@ -130,7 +130,7 @@ impl Builder {
             material.emissive_texture = Some(self.texture(path, "emission", &encode_srgb(&normalised), sampler)?);
             material.emissive_factor = EmissiveFactor([1.0; 3]);
             let emissive_strength = Some(EmissiveStrength { emissive_strength: EmissiveStrengthFactor(strength) });
-            material.extensions = Some(MaterialExtensions { emissive_strength, ..MaterialExtensions::default() });
+            material.extensions = Some(MaterialExtensions { emissive_strength });
             self.root.extensions_used.push("KHR_materials_emissive_strength".to_owned());
         }
         Ok(self.root.push(material))
