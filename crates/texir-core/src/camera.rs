@@ -1,6 +1,10 @@
 //! Cameras: equirectangular panoramas and pinholes. OpenGL axes: +X right, +Y up, looking along −Z.
 
-use glam::{DMat4, Mat4, Vec2, Vec3};
+use std::f64::consts::{PI, TAU};
+
+use glam::{Mat4, Vec2, Vec3};
+
+use crate::real::{Real, V3};
 
 /// How pixels map to directions in camera space.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,46 +45,95 @@ impl Camera {
 
     /// Unit world direction through continuous pixel coordinates (pixel centres at +0.5).
     pub fn direction(&self, x: f32, y: f32) -> Vec3 {
+        self.direction_in(x, y).0.into()
+    }
+
+    /// [`Camera::direction`] in any scalar.
+    pub fn direction_in<R: Real>(&self, x: R, y: R) -> V3<R> {
         let local = match self.projection {
             Projection::Equirectangular => {
-                let lambda = std::f32::consts::TAU * (x / self.width as f32 - 0.5);
-                let phi = std::f32::consts::PI * y / self.height as f32;
-                Vec3::new(lambda.sin() * phi.sin(), phi.cos(), -lambda.cos() * phi.sin())
+                let lambda = R::of(TAU) * (x / R::of(self.width as f64) - R::of(0.5));
+                let phi = R::of(PI) * y / R::of(self.height as f64);
+                V3([lambda.sin() * phi.sin(), phi.cos(), -lambda.cos() * phi.sin()])
             }
-            Projection::Pinhole { fx, fy, cx, cy } => Vec3::new((x - cx) / fx, -(y - cy) / fy, -1.0),
+            Projection::Pinhole { fx, fy, cx, cy } => {
+                let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|p| R::of(f64::from(p)));
+                V3([(x - cx) / fx, -(y - cy) / fy, R::of(-1.0)])
+            }
         };
-        self.world_from_camera.transform_vector3(local).normalize()
+        let m = self.world_from_camera;
+        let [i, j, k] = [m.x_axis, m.y_axis, m.z_axis].map(|a| V3::of(a.truncate().to_array()));
+        (i * local.0[0] + j * local.0[1] + k * local.0[2]).normalize()
     }
 
     /// Continuous pixel coordinates of a world point; `None` behind a pinhole or outside the image.
     pub fn project(&self, point: Vec3) -> Option<Vec2> {
-        let local = self.camera_from_world().transform_point3(point);
-        let pixel = match self.projection {
-            Projection::Equirectangular => {
-                let length = local.length();
-                let u = local.x.atan2(-local.z) / std::f32::consts::TAU + 0.5;
-                let v = (local.y / length).clamp(-1.0, 1.0).acos() / std::f32::consts::PI;
-                Vec2::new(u.rem_euclid(1.0) * self.width as f32, v * self.height as f32)
-            }
-            Projection::Pinhole { fx, fy, cx, cy } => {
-                if !(local.z < 0.0) {
-                    return None;
-                }
-                Vec2::new(cx - fx * local.x / local.z, cy + fy * local.y / local.z)
-            }
-        };
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x <= self.width as f32 && pixel.y <= self.height as f32;
-        inside.then_some(pixel)
+        self.project_in(V3(point.to_array())).map(Into::into)
     }
 
-    /// The inverse pose.
-    pub fn camera_from_world(&self) -> Mat4 {
-        let inverse: DMat4 = self.world_from_camera.as_dmat4().inverse();
-        inverse.as_mat4()
+    /// [`Camera::project`] in any scalar.
+    pub fn project_in<R: Real>(&self, point: V3<R>) -> Option<[R; 2]> {
+        let m = self.world_from_camera;
+        let from_centre = point - V3::of(self.position().to_array());
+        // The inverse of a rigid rotation is its transpose.
+        let V3([x, y, z]) =
+            V3([m.x_axis, m.y_axis, m.z_axis].map(|a| V3::of(a.truncate().to_array()).dot(from_centre)));
+        let (width, height) = (R::of(self.width as f64), R::of(self.height as f64));
+        let (px, py) = match self.projection {
+            Projection::Equirectangular => {
+                let length = from_centre.dot(from_centre).sqrt();
+                let cosine = (y / length).max(R::of(-1.0)).min(R::of(1.0));
+                ((x.atan2(-z) / R::of(TAU) + R::of(0.5)) * width, cosine.acos() / R::of(PI) * height)
+            }
+            Projection::Pinhole { fx, fy, cx, cy } => {
+                if !(z < R::of(0.0)) {
+                    return None;
+                }
+                let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|p| R::of(f64::from(p)));
+                (cx - fx * x / z, cy + fy * y / z)
+            }
+        };
+        let inside = |p: R, size: R| p >= R::of(0.0) && p <= size;
+        (inside(px, width) && inside(py, height)).then_some([px, py])
     }
 
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn projection_inverts_direction() {
+        let pose = Mat4::from_rotation_translation(
+            glam::Quat::from_euler(glam::EulerRot::XYZ, 1.2, 0.3, -0.8),
+            Vec3::new(1.0, -2.0, 0.5),
+        );
+        for projection in [Projection::Equirectangular, Projection::Pinhole { fx: 40.0, fy: 42.0, cx: 33.0, cy: 15.0 }]
+        {
+            let camera = Camera { projection, width: 64, height: 32, world_from_camera: pose };
+            for (x, y) in [(0.5, 0.5), (31.5, 16.5), (63.5, 31.5), (10.25, 20.75)] {
+                let point = camera.position() + camera.direction(x, y) * 3.0;
+                let back = camera.project(point).unwrap();
+                assert!((back - Vec2::new(x, y)).length() < 1e-3, "{projection:?} ({x}, {y}) came back as {back}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_panorama_centre_looks_along_minus_z_and_u_grows_to_the_right() {
+        let camera = Camera {
+            projection: Projection::Equirectangular,
+            width: 256,
+            height: 128,
+            world_from_camera: Mat4::IDENTITY,
+        };
+        assert!((camera.direction(128.0, 64.0) - Vec3::NEG_Z).length() < 1e-6);
+        assert!((camera.direction(192.0, 64.0) - Vec3::X).length() < 1e-6);
+        assert!((camera.direction(128.0, 0.0) - Vec3::Y).length() < 1e-6);
     }
 }

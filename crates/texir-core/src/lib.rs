@@ -1,7 +1,9 @@
 //! texir without a GPU dependency: captures, the BRDF and its adjoints, the fit, and the CPU twin of every kernel.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod atlas;
 pub mod backend;
+pub mod bake;
 pub mod brdf;
 pub mod camera;
 pub mod capture;

@@ -30,6 +30,10 @@ pub trait Real:
     fn sin(self) -> Self;
     /// Cosine.
     fn cos(self) -> Self;
+    /// Inverse cosine.
+    fn acos(self) -> Self;
+    /// Angle of the point (x, self).
+    fn atan2(self, x: Self) -> Self;
 
     /// The larger; the derivative is that of the larger.
     fn max(self, other: Self) -> Self {
@@ -68,6 +72,12 @@ macro_rules! impl_real {
             }
             fn cos(self) -> Self {
                 <$t>::cos(self)
+            }
+            fn acos(self) -> Self {
+                <$t>::acos(self)
+            }
+            fn atan2(self, x: Self) -> Self {
+                <$t>::atan2(self, x)
             }
         }
     };
@@ -158,6 +168,13 @@ impl Real for Dual {
     fn cos(self) -> Self {
         self.chain(self.re.cos(), -self.re.sin())
     }
+    fn acos(self) -> Self {
+        self.chain(self.re.acos(), -1.0 / (1.0 - self.re * self.re).sqrt())
+    }
+    fn atan2(self, x: Self) -> Self {
+        let square = self.re * self.re + x.re * x.re;
+        Self { re: self.re.atan2(x.re), du: (self.du * x.re - self.re * x.du) / square }
+    }
 }
 
 /// A vector of three [`Real`]s.
@@ -181,6 +198,10 @@ impl<R: Real> V3<R> {
     pub fn cross(self, o: Self) -> Self {
         let ([a, b, c], [x, y, z]) = (self.0, o.0);
         Self([b * z - c * y, c * x - a * z, a * y - b * x])
+    }
+    /// To `f32` components.
+    pub fn to_f32(self) -> [f32; 3] {
+        self.0.map(|c| c.value() as f32)
     }
     /// Unit vector.
     pub fn normalize(self) -> Self {

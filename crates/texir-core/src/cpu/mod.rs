@@ -1,1 +1,218 @@
-//! CPU twins.
+//! CPU twins: one file per pass, sharing its stem with the shader, generic over the scalar. In `f64` (and [`crate::real::Dual`])
+//! they are the oracle that the WGSL is tested against; in `f32` over rayon and obvhs they are [`CpuBackend`].
+
+pub mod group_loss;
+pub mod irradiance;
+pub mod lookup;
+pub mod primary;
+pub mod project;
+pub mod radiance_loss;
+pub mod shade;
+pub mod shade_vjp;
+pub mod texels;
+pub mod trace;
+
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+
+use crate::backend::{
+    Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient, Sampling, ShadePoint,
+    Shaded,
+};
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::raster::Rgb;
+use crate::real::V3;
+use crate::scene::Scene;
+use crate::surface::{Hit, SurfacePoint};
+use crate::texture::{Footprints, Pyramid};
+use shade::{MaterialIn, ShadedIn};
+use trace::{Lighting, TraceHit};
+
+/// Items traced between two looks at progress and cancellation.
+const CHUNK: usize = 4096;
+
+/// The passes on the host, in `f32`: for machines without a Vulkan, Metal or DirectX driver.
+pub struct CpuBackend<'a> {
+    scene: &'a Scene,
+    tbl: Option<Rgb>,
+}
+
+impl<'a> CpuBackend<'a> {
+    /// A backend for one scene.
+    pub fn new(scene: &'a Scene) -> Self {
+        Self { scene, tbl: None }
+    }
+
+    fn lighting(&self) -> Result<Lighting<'_, Scene>> {
+        let radiance = self.tbl.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))?;
+        Ok(Lighting { tracer: self.scene, radiance })
+    }
+}
+
+impl From<TraceHit<f32>> for Hit {
+    fn from(h: TraceHit<f32>) -> Self {
+        Hit { triangle: h.triangle, u: h.u, v: h.v, t: h.t }
+    }
+}
+
+impl From<&Material> for MaterialIn<f32> {
+    fn from(m: &Material) -> Self {
+        Self { albedo: V3(m.albedo), roughness: m.roughness, metallic: m.metallic }
+    }
+}
+
+/// Maps items in parallel, in chunks between which progress is reported and cancellation honoured.
+fn map_in_chunks<T: Sync, U: Send>(
+    items: &[T],
+    progress: &dyn Progress,
+    cost: u64,
+    f: impl Fn(usize, &T) -> U + Sync,
+) -> Result<Vec<U>> {
+    let mut out = Vec::with_capacity(items.len());
+    for (chunk, slice) in items.chunks(CHUNK).enumerate() {
+        progress.check()?;
+        out.par_extend(slice.par_iter().enumerate().map(|(i, item)| f(chunk * CHUNK + i, item)));
+        progress.advance(slice.len() as u64 * cost);
+    }
+    Ok(out)
+}
+
+impl Backend for CpuBackend<'_> {
+    fn name(&self) -> String {
+        format!("CPU, {} threads", rayon::current_num_threads())
+    }
+
+    fn set_tbl(&mut self, radiance: &Rgb) -> Result<()> {
+        self.tbl = Some(radiance.clone());
+        Ok(())
+    }
+
+    fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>> {
+        let hit = |i: usize| {
+            primary::primary::<f32>(self.scene, camera, i % camera.width, i / camera.width).map_or(Hit::MISS, Hit::from)
+        };
+        Ok((0..camera.pixels()).into_par_iter().map(hit).collect())
+    }
+
+    fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>> {
+        let mesh = &self.scene.mesh;
+        let bins = texels::TileBins::new(mesh, width, height);
+        let corners = |t: u32| mesh.corner_uvs(t).map(|uv| [uv.x * width as f32, uv.y * height as f32]);
+        let hit = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            texels::texel(bins.at(x, y), corners, x, y).map_or(Hit::MISS, |h| Hit {
+                triangle: h.triangle,
+                u: h.u,
+                v: h.v,
+                t: f32::from(u8::from(h.inside)),
+            })
+        };
+        Ok((0..width * height).into_par_iter().map(hit).collect())
+    }
+
+    fn irradiance(
+        &mut self,
+        points: &[SurfacePoint],
+        sampling: Sampling,
+        progress: &dyn Progress,
+    ) -> Result<Vec<[f32; 3]>> {
+        let lighting = self.lighting()?;
+        map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
+            irradiance::irradiance::<f32, _>(&lighting, point, i as u32, sampling).0
+        })
+    }
+
+    fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
+        Ok(points.par_iter().map(|p| project::project::<f32>(self.scene, camera, p)).collect())
+    }
+
+    fn shade(
+        &mut self,
+        points: &[ShadePoint],
+        materials: &[Material],
+        sampling: Sampling,
+        gradient: RoughnessGradient,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Shaded>> {
+        let lighting = self.lighting()?;
+        map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
+            let s = shade::shade(&lighting, point, &MaterialIn::from(&materials[i]), sampling, gradient);
+            Shaded {
+                radiance: s.radiance.0,
+                pad0: 0.0,
+                specular_scale: s.specular_scale.0,
+                pad1: 0.0,
+                d_roughness: s.d_roughness.0,
+                pad2: 0.0,
+            }
+        })
+    }
+
+    fn shade_vjp(
+        &mut self,
+        points: &[ShadePoint],
+        materials: &[Material],
+        shaded: &[Shaded],
+        d_radiance: &[[f32; 3]],
+    ) -> Result<Vec<MaterialGrad>> {
+        let grad = |i: usize| {
+            let jacobian = ShadedIn {
+                radiance: V3(shaded[i].radiance),
+                specular_scale: V3(shaded[i].specular_scale),
+                d_roughness: V3(shaded[i].d_roughness),
+            };
+            let d = shade_vjp::shade_vjp(&points[i], &MaterialIn::from(&materials[i]), &jacobian, V3(d_radiance[i]));
+            MaterialGrad { albedo: d.albedo.0, roughness: d.roughness, metallic: d.metallic, pad: [0.0; 3] }
+        };
+        Ok((0..points.len()).into_par_iter().map(grad).collect())
+    }
+
+    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {
+        let total = 3.0 * weight.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+        let mut value = 0.0;
+        let gradient = (0..rendered.len())
+            .map(|i| {
+                let (loss, d) = radiance_loss::radiance_loss(V3(rendered[i]), V3(target[i]), weight[i] / total);
+                value += f64::from(loss);
+                d.0
+            })
+            .collect();
+        Ok(Loss { value: value as f32, gradient })
+    }
+
+    fn group_loss(
+        &mut self,
+        values: &[f32],
+        channels: usize,
+        groups: &Groups,
+        target: GroupTarget,
+    ) -> Result<Loss<f32>> {
+        let mut gradient = vec![0.0; values.len()];
+        let value = group_loss::group_loss(values, channels, groups, target, &mut gradient);
+        Ok(Loss { value, gradient })
+    }
+
+    fn lookup(
+        &mut self,
+        pyramid: &Pyramid,
+        texture: &[f32],
+        channels: usize,
+        footprints: &Footprints,
+    ) -> Result<Vec<f32>> {
+        Ok(lookup::lookup(pyramid, texture, channels, footprints))
+    }
+
+    fn lookup_vjp(
+        &mut self,
+        pyramid: &Pyramid,
+        d_values: &[f32],
+        channels: usize,
+        footprints: &Footprints,
+    ) -> Result<Vec<f32>> {
+        Ok(lookup::lookup_vjp(pyramid, d_values, channels, footprints))
+    }
+}
