@@ -15,14 +15,14 @@ const DOOR_CLEARANCE: f32 = 0.9;
 /// Objects against a wall keep this distance, so that no two surfaces coincide, metres.
 const GAP: f32 = 1.0 / 64.0;
 
-/// Fills a room. Returns the plan rectangles that objects stand on.
+/// Fills a room.
 pub(super) fn furnish(
     out: &mut Vec<Chart>,
     layout: &Layout,
     index: usize,
     palette: &RoomPalette,
     random: &mut Random,
-) -> Vec<Rect> {
+) {
     let mut site = Site::new(out, layout, index, palette, random);
     site.door_leaves();
     match layout.rooms[index].kind {
@@ -59,7 +59,6 @@ pub(super) fn furnish(
         }
     }
     site.pictures();
-    site.taken
 }
 
 /// A room being furnished.
@@ -72,8 +71,6 @@ struct Site<'a> {
     random: &'a mut Random,
     /// Where something stands or must stay free.
     blocked: Vec<Rect>,
-    /// Where something stands.
-    taken: Vec<Rect>,
     /// Where tall things must not stand: before windows.
     views: Vec<Rect>,
     /// Where tall things stand: no pictures behind them.
@@ -99,7 +96,7 @@ impl<'a> Site<'a> {
             }
         }
         let room = layout.rooms[index];
-        Self { out, layout, index, room, palette, random, blocked, taken: Vec::new(), views, tall: Vec::new() }
+        Self { out, layout, index, room, palette, random, blocked, views, tall: Vec::new() }
     }
 
     fn look(&self, paint: Paint, class: u16) -> Look {
@@ -131,7 +128,6 @@ impl<'a> Site<'a> {
             return false;
         }
         self.blocked.push(plan);
-        self.taken.push(plan);
         if tall {
             self.tall.push(plan);
         }
@@ -193,8 +189,7 @@ impl<'a> Site<'a> {
                         ball(self.out, knob, frame.moved(Vec3::new(x, width - 0.07, 1.05)), 0.028);
                     }
                     self.blocked.push(plan.grown(0.25));
-                    self.taken.push(plan);
-                }
+                            }
             }
         }
     }
@@ -383,7 +378,6 @@ impl<'a> Site<'a> {
         let angle = (-frame.y.x).atan2(frame.y.y) + std::f32::consts::PI;
         self.chair(at, angle);
         self.blocked.push(footprint(frame.moved(Vec3::new(0.3, 0.5, 0.0)), 0.6, 0.6));
-        self.taken.push(footprint(frame.moved(Vec3::new(0.3, 0.5, 0.0)), 0.6, 0.6));
     }
 
     fn bed(&mut self) {
@@ -464,7 +458,8 @@ impl<'a> Site<'a> {
         let axis = if along.x > along.y { Vec2::X } else { Vec2::Y };
         for i in 0..count {
             let part = (i as f32 + 0.5) / count as f32 - 0.5;
-            self.pendant(rect.centre() + axis * part * along, 2.15, 0.1, self.random.range(42.0, 55.0));
+            let radiance = self.random.range(42.0, 55.0);
+            self.pendant(rect.centre() + axis * part * along, 2.15, 0.1, radiance);
         }
     }
 
@@ -517,7 +512,8 @@ impl<'a> Site<'a> {
         let wood = self.look(self.palette.wood, class::PICTURE);
         let (a, b) = (muted(self.random), Vec3::splat(0.62));
         let gloss = self.random.range(0.08, 0.5);
-        let art = self.look(Paint::new(Pattern::Picture, a, b, gloss, self.random.seed()), class::PICTURE);
+        let art = Paint::new(Pattern::Picture, a, b, gloss, self.random.seed());
+        let art = self.look(art, class::PICTURE);
         let flat = Faces::ALL.without(Faces::BACK);
         self.block(wood, frame, [0.0, 0.0, z], [width, 0.02, z + height], flat);
         self.block(art, frame, [rim, 0.02, z + rim], [width - rim, 0.028, z + height - rim], flat);

@@ -17,12 +17,10 @@ mod pathtrace;
 mod random;
 mod shell;
 mod trace;
-mod write;
 
 pub use cameras::{Shot, ShotOptions, shots};
 pub use layout::{Room, RoomKind};
 pub use pathtrace::{RenderOptions, Rendered, render};
-pub use write::write;
 
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;

@@ -1,0 +1,1 @@
+//! Writes the flat as a capture folder.
