@@ -119,6 +119,7 @@ fn direct(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
     let point = texel.point?;
     let room = world.flat.charts[texel.chart].look.room;
     let position = offset_origin(point.position, point.normal);
+    let choice = world.emitters.choice(position, point.normal, room);
     let (lights, cosines) = (options.light_samples, (options.light_samples / 2).max(4));
     let joint = |p_light: f32, cosine: f32| lights as f32 * p_light + cosines as f32 * cosine / std::f32::consts::PI;
     let (mut sum, mut backs) = (Vec3::ZERO, 0);
@@ -128,7 +129,7 @@ fn direct(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
         let cosine = (1.0 - u).sqrt();
         match world.closest(position, around(point.normal, cosine, v)) {
             Some(hit) if !hit.front => backs += 1,
-            Some(hit) => sum += world.emission(&hit) * cosine / joint(world.light_pdf(&hit, room), cosine),
+            Some(hit) => sum += world.emission(&hit) * cosine / joint(world.light_pdf(&hit, &choice), cosine),
             None => {}
         }
     }
@@ -138,7 +139,7 @@ fn direct(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
     let seed = stream(options.seed, 2, texel.texel);
     for i in 0..lights {
         let mut sample = Sample::new(seed, i as u32);
-        if let Some((direction, radiance, p_light)) = world.light(position, point.normal, room, &mut sample) {
+        if let Some((direction, radiance, p_light)) = world.light(position, point.normal, &choice, &mut sample) {
             let cosine = point.normal.dot(direction);
             sum += radiance * cosine / joint(p_light, cosine);
         }
@@ -175,9 +176,9 @@ fn gather(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
 
 /// Follows the specular lobe at a gather ray's hit: sets the link's far end, returns the emitted light seen in it.
 fn reflect(world: &World, hit: &Vertex, view: Vec3, link: &mut Link, sample: &mut Sample) -> Vec3 {
-    let (room, roughness) = (world.room(hit.triangle), world.roughness(hit.uv));
+    let (choice, roughness) = (world.choice(hit), world.roughness(hit.uv));
     let mut emitted = Vec3::ZERO;
-    if let Some((direction, radiance, p_light)) = world.light(hit.position, hit.normal, room, sample) {
+    if let Some((direction, radiance, p_light)) = world.light(hit.position, hit.normal, &choice, sample) {
         let (value, p_lobe) = lobe(hit.normal, view, direction, roughness);
         emitted += radiance * value / (p_light + p_lobe);
     }
@@ -185,7 +186,7 @@ fn reflect(world: &World, hit: &Vertex, view: Vec3, link: &mut Link, sample: &mu
         && let Some(far) = world.closest(hit.position, drawn.direction)
         && far.front
     {
-        let share = drawn.pdf / (drawn.pdf + world.light_pdf(&far, room));
+        let share = drawn.pdf / (drawn.pdf + world.light_pdf(&far, &choice));
         emitted += world.emission(&far) * drawn.weight * share;
         (link.far, link.weight) = (coarse_texel(world, &far), drawn.weight);
     }

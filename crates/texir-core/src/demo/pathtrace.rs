@@ -171,16 +171,16 @@ impl Light<'_> {
             return Vec3::ZERO;
         }
         let world = &self.world;
-        let (room, roughness) = (world.room(vertex.triangle), world.roughness(vertex.uv));
+        let (choice, roughness) = (world.choice(vertex), world.roughness(vertex.uv));
         let mut sum = Vec3::ZERO;
-        if let Some((direction, radiance, p_light)) = world.light(vertex.position, vertex.normal, room, sample) {
+        if let Some((direction, radiance, p_light)) = world.light(vertex.position, vertex.normal, &choice, sample) {
             let (value, p_lobe) = lobe(vertex.normal, view, direction, roughness);
             sum += radiance * value / (p_light + p_lobe);
         }
         if let Some(drawn) = sample_lobe(vertex.normal, view, roughness, sample.pair())
             && let Some(next) = world.closest(vertex.position, drawn.direction)
         {
-            let share = drawn.pdf / (drawn.pdf + world.light_pdf(&next, room));
+            let share = drawn.pdf / (drawn.pdf + world.light_pdf(&next, &choice));
             let further = self.specular(&next, -drawn.direction, bounces - 1, sample);
             sum += (world.emission(&next) * share + self.diffuse(&next) + further) * drawn.weight;
         }

@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 use obvhs::ray::Ray;
 
 use super::Flat;
-use super::emitters::Emitters;
+use super::emitters::{Choice, Emitters};
 use super::random::Sample;
 use crate::brdf::{
     Cosines, DIELECTRIC_F0, basis, fresnel_weight, pdf, sample_cos2, sample_weight, specular_over_fresnel,
@@ -92,16 +92,21 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Solid-angle density with which [`Self::light`] would have drawn the direction towards `vertex` for a point in `room`.
-    pub fn light_pdf(&self, vertex: &Vertex, room: u16) -> f32 {
-        self.emitters.pdf(vertex.triangle, room) * vertex.distance * vertex.distance / vertex.cosine.max(1e-6)
+    /// How lamps are drawn for light that arrives at `vertex`.
+    pub fn choice(&self, vertex: &Vertex) -> Choice {
+        self.emitters.choice(vertex.position, vertex.normal, self.flat.labels(vertex.triangle).1)
     }
 
-    /// Light drawn from an emitter, for a point in `room`: `(direction, emitted radiance, density)`; radiance 0 where the
-    /// emitter is hidden or turned away. The density is per solid angle.
-    pub fn light(&self, position: Vec3, normal: Vec3, room: u16, sample: &mut Sample) -> Option<(Vec3, Vec3, f32)> {
-        let ([pick, _], place) = (sample.pair(), sample.pair());
-        let drawn = self.emitters.sample(self.flat, room, pick, place)?;
+    /// Solid-angle density with which [`Self::light`] would have drawn the direction towards `vertex`.
+    pub fn light_pdf(&self, vertex: &Vertex, choice: &Choice) -> f32 {
+        self.emitters.pdf(vertex.triangle, choice) * vertex.distance * vertex.distance / vertex.cosine.max(1e-6)
+    }
+
+    /// Light drawn from an emitter: `(direction, emitted radiance, density per solid angle)`; `None` where the emitter is
+    /// hidden or turned away.
+    pub fn light(&self, position: Vec3, normal: Vec3, choice: &Choice, sample: &mut Sample) -> Option<(Vec3, Vec3, f32)> {
+        let (pick, place) = (sample.pair(), sample.pair());
+        let drawn = self.emitters.sample(self.flat, choice, pick, place)?;
         let way = drawn.position - position;
         let distance2 = way.length_squared();
         let direction = way / distance2.sqrt();
@@ -121,11 +126,6 @@ impl<'a> World<'a> {
     /// Linear albedo at a surface point.
     pub fn albedo(&self, uv: Vec2) -> Vec3 {
         bilinear(&self.flat.albedo, uv)
-    }
-
-    /// Room id of a triangle.
-    pub fn room(&self, triangle: u32) -> u16 {
-        self.flat.labels(triangle).1
     }
 }
 
