@@ -2,6 +2,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod atlas;
+pub mod atomic_file;
 pub mod backend;
 pub mod bake;
 pub mod brdf;
