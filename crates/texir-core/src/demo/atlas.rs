@@ -31,7 +31,8 @@ impl Place {
     /// Chart coordinates (metres) of the centre of texel (`x`, `y`) of the atlas scaled by 1/`shrink`.
     pub fn chart_point(&self, size: Vec2, x: usize, y: usize, shrink: usize) -> Vec2 {
         let texel = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) * shrink as f32;
-        let along = (texel - Vec2::new(self.x as f32, self.y as f32)) / Vec2::new(self.width as f32, self.height as f32);
+        let along =
+            (texel - Vec2::new(self.x as f32, self.y as f32)) / Vec2::new(self.width as f32, self.height as f32);
         Vec2::new(along.x, 1.0 - along.y) * size
     }
 
@@ -62,7 +63,10 @@ pub(super) fn pack(charts: &[Chart], side: usize) -> Result<(Vec<Place>, f32)> {
         }
     }
     best.ok_or_else(|| {
-        Error::invalid(format!("the demo's {} charts do not fit into an atlas of {side}²: use a larger atlas", charts.len()))
+        Error::invalid(format!(
+            "the demo's {} charts do not fit into an atlas of {side}²: use a larger atlas",
+            charts.len()
+        ))
     })
 }
 

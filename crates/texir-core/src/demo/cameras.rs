@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 /// Height of cameras above the floor, metres.
 const HEIGHT: (f32, f32) = (1.2, 1.7);
 /// Nothing is nearer to a camera than this, metres.
-const CLEARANCE: f32 = 0.35;
+const CLEARANCE: f32 = 0.5;
 /// Largest pitch and roll, degrees.
 const TILT: f32 = 2.0;
 /// Places tried per camera.

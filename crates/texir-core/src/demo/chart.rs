@@ -110,7 +110,8 @@ pub(super) struct Chart {
 impl Chart {
     /// The chart whose point at `(s, t)` is `surface(s, t)`.
     pub fn new(look: Look, columns: Vec<f32>, rows: Vec<f32>, surface: impl Fn(f32, f32) -> Point) -> Self {
-        let points = rows.iter().flat_map(|&t| columns.iter().map(move |&s| (s, t))).map(|(s, t)| surface(s, t)).collect();
+        let points =
+            rows.iter().flat_map(|&t| columns.iter().map(move |&s| (s, t))).map(|(s, t)| surface(s, t)).collect();
         Self { columns, rows, points, holes: Vec::new(), look }
     }
 
@@ -271,7 +272,14 @@ pub(super) fn segments(radius: f32) -> usize {
 }
 
 /// An upright cylinder from z = `from` to `to`, with its discs where asked for.
-pub(super) fn cylinder(out: &mut Vec<Chart>, look: Look, frame: Frame, radius: f32, (from, to): (f32, f32), faces: Faces) {
+pub(super) fn cylinder(
+    out: &mut Vec<Chart>,
+    look: Look,
+    frame: Frame,
+    radius: f32,
+    (from, to): (f32, f32),
+    faces: Faces,
+) {
     let n = segments(radius);
     out.push(Chart::revolve(look, frame, &[(radius, from), (radius, to)], n));
     if faces.has(Faces::TOP) {

@@ -119,10 +119,17 @@ impl Emitters {
     }
 
     /// Draws a point; `None` if no lamp is above the lit point's horizon.
-    pub fn sample(&self, flat: &Flat, choice: &Choice, [pick, part]: [f32; 2], [u, v]: [f32; 2]) -> Option<EmitterSample> {
+    pub fn sample(
+        &self,
+        flat: &Flat,
+        choice: &Choice,
+        [pick, part]: [f32; 2],
+        [u, v]: [f32; 2],
+    ) -> Option<EmitterSample> {
         let lamp = choice.cumulative.partition_point(|&sum| sum <= pick).min(choice.cumulative.len().checked_sub(1)?);
         let lamp = &self.lamps[lamp];
-        let triangle = lamp.triangles[lamp.cumulative.partition_point(|&sum| sum <= part).min(lamp.triangles.len() - 1)];
+        let triangle =
+            lamp.triangles[lamp.cumulative.partition_point(|&sum| sum <= part).min(lamp.triangles.len() - 1)];
         let root = u.sqrt();
         let weights = [1.0 - root, root * (1.0 - v), root * v];
         let [a, b, c] = flat.mesh.corners(triangle);

@@ -16,13 +16,7 @@ const DOOR_CLEARANCE: f32 = 0.9;
 const GAP: f32 = 1.0 / 64.0;
 
 /// Fills a room.
-pub(super) fn furnish(
-    out: &mut Vec<Chart>,
-    layout: &Layout,
-    index: usize,
-    palette: &RoomPalette,
-    random: &mut Random,
-) {
+pub(super) fn furnish(out: &mut Vec<Chart>, layout: &Layout, index: usize, palette: &RoomPalette, random: &mut Random) {
     let mut site = Site::new(out, layout, index, palette, random);
     site.door_leaves();
     match layout.rooms[index].kind {
@@ -112,7 +106,14 @@ impl<'a> Site<'a> {
         for corner in [Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE] {
             let at = radius + corner * (size - 2.0 * radius);
             let foot = frame.moved(at.extend(0.0));
-            cylinder(self.out, look, foot, radius, (0.0, height), Faces::ALL.without(Faces::BOTTOM).without(Faces::TOP));
+            cylinder(
+                self.out,
+                look,
+                foot,
+                radius,
+                (0.0, height),
+                Faces::ALL.without(Faces::BOTTOM).without(Faces::TOP),
+            );
         }
     }
 
@@ -182,14 +183,15 @@ impl<'a> Site<'a> {
                 let frame = Frame::facing(hinge, wall.inward);
                 let plan = footprint(frame, 0.04, width);
                 if plan.lo.cmpge(room.lo).all() && plan.hi.cmple(room.hi).all() {
-                    let look = self.look(Paint { pattern: Pattern::Panels { width: 2.0 }, ..self.palette.trim }, class::DOOR);
+                    let look =
+                        self.look(Paint { pattern: Pattern::Panels { width: 2.0 }, ..self.palette.trim }, class::DOOR);
                     self.block(look, frame, [0.0, 0.0, 0.01], [0.04, width, cut.hi.y - 0.02], Faces::ALL);
                     let knob = self.look(self.palette.metal, class::DOOR);
                     for x in [-0.03, 0.07] {
                         ball(self.out, knob, frame.moved(Vec3::new(x, width - 0.07, 1.05)), 0.028);
                     }
                     self.blocked.push(plan.grown(0.25));
-                            }
+                }
             }
         }
     }
@@ -221,7 +223,7 @@ impl<'a> Site<'a> {
             let faces = Faces::STANDING.without(Faces::BACK);
             self.block(fabric, frame, [x + 0.006, 0.2, 0.28], [x + each - 0.006, depth - 0.01, 0.44], faces);
             let plush = Vec2::new(x + 0.5 * each - 0.21, x + 0.5 * each + 0.21);
-            self.block(cushion, frame, [plush.x, 0.2, 0.442], [plush.y, 0.33, 0.84], Faces::ALL.without(Faces::BACK));
+            self.block(cushion, frame, [plush.x, 0.2, 0.442], [plush.y, 0.33, 0.79], Faces::ALL.without(Faces::BACK));
         }
     }
 
@@ -299,7 +301,13 @@ impl<'a> Site<'a> {
         let soil = self.look(Paint::flat(Vec3::new(0.07, 0.05, 0.035), 0.9), class::DECOR);
         self.out.push(Chart::revolve(pot, centre, &[(0.13, 0.0), (0.19, 0.36)], 20));
         self.out.push(Chart::disc(soil, centre.moved(Vec3::Z * 0.36), 0.19, 20, false));
-        let leaf = Paint::new(Pattern::Mottled, Vec3::new(0.07, 0.2, 0.05), Vec3::new(0.16, 0.34, 0.08), 0.4, self.random.seed());
+        let leaf = Paint::new(
+            Pattern::Mottled,
+            Vec3::new(0.07, 0.2, 0.05),
+            Vec3::new(0.16, 0.34, 0.08),
+            0.4,
+            self.random.seed(),
+        );
         let leaf = self.look(leaf, class::DECOR);
         let stem = self.look(self.palette.wood, class::DECOR);
         cylinder(self.out, stem, centre.moved(Vec3::Z * 0.36), 0.02, (0.0, 0.4), Faces::ALL.without(Faces::BOTTOM));
@@ -358,7 +366,9 @@ impl<'a> Site<'a> {
         let centre = frame.moved(Vec3::new(0.6, 0.4, 0.75));
         self.out.push(Chart::revolve(bowl, centre, &[(0.06, 0.0), (0.13, 0.03), (0.17, 0.09)], 20));
         self.out.push(Chart::disc(bowl, centre.moved(Vec3::Z * 0.09), 0.17, 20, false));
-        for (i, offset) in [Vec2::new(0.0, 0.07), Vec2::new(-0.07, -0.04), Vec2::new(0.06, -0.05)].into_iter().enumerate() {
+        for (i, offset) in
+            [Vec2::new(0.0, 0.07), Vec2::new(-0.07, -0.04), Vec2::new(0.06, -0.05)].into_iter().enumerate()
+        {
             let colour = [Vec3::new(0.6, 0.3, 0.03), Vec3::new(0.5, 0.05, 0.04), Vec3::new(0.3, 0.45, 0.06)][i];
             let fruit = self.look(Paint::flat(colour, 0.3), class::DECOR);
             ball(self.out, fruit, centre.moved(offset.extend(0.14)), 0.06);
@@ -389,7 +399,13 @@ impl<'a> Site<'a> {
         let pillow = self.look(self.palette.cushion, class::BED);
         self.block(wood, frame, [0.0, 0.0, 0.0], [width, 0.06, 1.0], Faces::STANDING);
         self.block(wood, frame, [0.0, 0.06, 0.0], [width, length, 0.3], Faces::STANDING.without(Faces::BACK));
-        self.block(linen, frame, [0.03, 0.06, 0.3], [width - 0.03, length - 0.03, 0.5], Faces::STANDING.without(Faces::BACK));
+        self.block(
+            linen,
+            frame,
+            [0.03, 0.06, 0.3],
+            [width - 0.03, length - 0.03, 0.5],
+            Faces::STANDING.without(Faces::BACK),
+        );
         self.block(blanket, frame, [0.015, 0.75, 0.32], [width - 0.015, length - 0.015, 0.535], Faces::ALL);
         for x in [0.1, 0.8] {
             self.block(pillow, frame, [x, 0.1, 0.502], [x + 0.6, 0.5, 0.62], Faces::ALL);

@@ -17,10 +17,15 @@ mod pathtrace;
 mod random;
 mod shell;
 mod trace;
+mod write;
+
+#[cfg(test)]
+mod tests;
 
 pub use cameras::{Shot, ShotOptions, shots};
 pub use layout::{Room, RoomKind};
 pub use pathtrace::{RenderOptions, Rendered, render};
+pub use write::write;
 
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
@@ -127,7 +132,9 @@ impl Flat {
         }
         if options.atlas < 256 || options.atlas % 4 != 0 {
             let side = options.atlas;
-            return Err(Error::invalid(format!("the demo's atlas must be a multiple of 4 and at least 256, got {side}")));
+            return Err(Error::invalid(format!(
+                "the demo's atlas must be a multiple of 4 and at least 256, got {side}"
+            )));
         }
         if !(options.roughness_variation >= 0.0) || !options.roughness_variation.is_finite() {
             let value = options.roughness_variation;

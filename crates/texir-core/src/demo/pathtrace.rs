@@ -13,11 +13,11 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::Flat;
 use super::cameras::Shot;
 use super::irradiance;
 use super::random::{Sample, stream};
 use super::trace::{Vertex, World, bilinear, lobe, sample_lobe};
-use super::Flat;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
@@ -114,7 +114,9 @@ impl Light<'_> {
             }));
             progress.advance(rows as u64);
         }
-        let rgb = |value: fn(&Pixel) -> Vec3| Raster::new(width, height, pixels.iter().map(|p| value(p).to_array()).collect());
+        let rgb = |value: fn(&Pixel) -> Vec3| {
+            Raster::new(width, height, pixels.iter().map(|p| value(p).to_array()).collect())
+        };
         let label = |value: fn(&Pixel) -> u16| Raster::new(width, height, pixels.iter().map(value).collect());
         Ok(Rendered {
             shot: shot.clone(),

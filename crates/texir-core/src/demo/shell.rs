@@ -24,8 +24,11 @@ impl Wall {
     /// The four walls of a room: west, east, south, north.
     pub fn of(rect: Rect) -> [Self; 4] {
         let (lo, hi, size) = (rect.lo, rect.hi, rect.size());
-        let wall = |x: f32, y: f32, right: Vec3, length: f32| {
-            Self { origin: Vec3::new(x, y, 0.0), right, inward: right.cross(Vec3::Z), length }
+        let wall = |x: f32, y: f32, right: Vec3, length: f32| Self {
+            origin: Vec3::new(x, y, 0.0),
+            right,
+            inward: right.cross(Vec3::Z),
+            length,
         };
         [
             wall(lo.x, lo.y, Vec3::Y, size.y),
@@ -147,7 +150,7 @@ fn window(out: &mut Vec<Chart>, opening: &Opening, layout: &Layout, palettes: &[
     // Seen from inside, x runs to the left.
     let frame = Frame::facing(wall.origin + wall.right * cut.hi.x, wall.inward);
     let (width, (z0, z1)) = (cut.size().x, opening.z);
-    let (back, front, bar) = (0.002 - WALL, 0.05 - WALL, 0.03);
+    let (back, front, bar) = (-WALL, 0.05 - WALL, 0.03);
     let mid = 0.5 * width;
     let upright = Faces::ALL.without(Faces::TOP).without(Faces::BOTTOM).without(Faces::BACK);
     let lying = Faces::ALL.without(Faces::LEFT).without(Faces::RIGHT).without(Faces::BACK);

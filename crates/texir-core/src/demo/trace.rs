@@ -104,7 +104,13 @@ impl<'a> World<'a> {
 
     /// Light drawn from an emitter: `(direction, emitted radiance, density per solid angle)`; `None` where the emitter is
     /// hidden or turned away.
-    pub fn light(&self, position: Vec3, normal: Vec3, choice: &Choice, sample: &mut Sample) -> Option<(Vec3, Vec3, f32)> {
+    pub fn light(
+        &self,
+        position: Vec3,
+        normal: Vec3,
+        choice: &Choice,
+        sample: &mut Sample,
+    ) -> Option<(Vec3, Vec3, f32)> {
         let (pick, place) = (sample.pair(), sample.pair());
         let drawn = self.emitters.sample(self.flat, choice, pick, place)?;
         let way = drawn.position - position;
