@@ -12,7 +12,7 @@ use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTIN
 use texir_core::render::Textures;
 use texir_core::scene::Scene;
 
-use super::{CaptureArgs, Session, eval, report};
+use super::{CaptureArgs, Session, describe, eval, report};
 use crate::device;
 use crate::failure::Failure;
 use crate::figures;
@@ -47,6 +47,7 @@ impl Fit {
 
 /// Fits a capture and puts the result where `staging` leads.
 pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Result<FitOutput, Failure> {
+    session.console.note(&format!("{:>24}  {}", "capture", describe(capture)));
     let scene = Scene::new(capture.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
     let mut log: Vec<EpochLog> = Vec::new();

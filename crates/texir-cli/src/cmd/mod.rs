@@ -1,6 +1,7 @@
 //! One file per command, each thin: arguments → library → what the user is told.
 
 mod bake;
+mod demo;
 mod eval;
 mod fit;
 mod inspect;
@@ -22,6 +23,8 @@ use crate::failure::Failure;
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Make a synthetic flat, path-trace it and fit it: everything at once, without any input
+    Demo(demo::Demo),
     /// Dry run: what is found in a capture and assumed of it, checks of cameras and atlas, cost of a fit
     Inspect(inspect::Inspect),
     /// Build the HDR texture (texture-based lighting) of a capture from its views
@@ -65,6 +68,7 @@ impl Session<'_> {
 /// Runs a command.
 pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
     match command {
+        Command::Demo(command) => command.run(session),
         Command::Inspect(command) => command.run(session),
         Command::Tbl(command) => command.run(session),
         Command::Bake(command) => command.run(session),
@@ -91,9 +95,7 @@ pub struct CaptureArgs {
 impl CaptureArgs {
     fn load(&self, session: &Session<'_>) -> Result<Capture, Failure> {
         let options = LoadOptions { mesh: self.mesh.clone(), tbl: self.tbl.clone() };
-        let capture = capture::load(&self.capture, &options, session.console)?;
-        session.console.note(&format!("{:>24}  {}", "capture", describe(&capture)));
-        Ok(capture)
+        Ok(capture::load(&self.capture, &options, session.console)?)
     }
 }
 
