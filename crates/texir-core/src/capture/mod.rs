@@ -14,7 +14,8 @@ use crate::mesh::Mesh;
 use crate::raster::{Gray, Raster, Rgb};
 
 /// What a view is used for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Split {
     /// The fit sees it.
     Train,
