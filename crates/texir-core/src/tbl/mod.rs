@@ -74,7 +74,7 @@ const BAND: usize = 1 << 19;
 pub fn build(
     backend: &mut dyn Backend,
     scene: &Scene,
-    views: &[&View],
+    views: &[View],
     size: (usize, usize),
     options: &TblOptions,
     progress: &dyn Progress,
@@ -124,7 +124,7 @@ fn fuse(
     let radiance = inpaint::fill(&atlas.points, &blended, typical_texel(scene, &atlas));
     let coverage = blended.iter().map(|b| b.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
     Ok(Tbl {
-        radiance: atlas.scatter_padded(&radiance, [0.0; 3], options.gutter),
+        radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
         coverage: atlas.scatter(&coverage, Coverage::Outside),
     })
 }
