@@ -14,7 +14,6 @@ use glam::Vec3;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake;
-use crate::camera::Camera;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
@@ -68,11 +67,7 @@ pub fn fit(
     };
     let tbl = match &capture.tbl {
         Some(tbl) if tbl.radiance.size() == size => tbl.clone(),
-        _ => {
-            let cameras: Vec<Camera> = training.iter().map(|v| v.camera).collect();
-            let mut load = |i: usize| training[i].load_image(progress);
-            tbl::fuse(backend, scene, &cameras, &mut load, size, &TblOptions::default(), progress)?
-        }
+        _ => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
     };
     timings.mark("texture-based lighting");
 
