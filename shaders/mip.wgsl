@@ -38,7 +38,7 @@ fn family(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Family {
     let exists = coarse < params.coarse_width * params.coarse_height;
     let x = 2u * (coarse % params.coarse_width) + vec4u(0u, 1u, 0u, 1u);
     let y = 2u * (coarse / params.coarse_width) + vec4u(0u, 0u, 1u, 1u);
-    let inside = x < vec4u(params.fine_width) && y < vec4u(params.fine_height);
+    let inside = (x < vec4u(params.fine_width)) & (y < vec4u(params.fine_height));
     let children = params.fine_offset
         + min(y, vec4u(params.fine_height - 1u)) * params.fine_width
         + min(x, vec4u(params.fine_width - 1u));
