@@ -11,6 +11,8 @@ mod buffer;
 mod cache;
 mod gpu;
 mod kernel;
+#[cfg(test)]
+mod layouts;
 mod pass;
 mod scene;
 pub mod wgsl;
