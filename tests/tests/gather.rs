@@ -4,6 +4,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use texir_core::backend::{Backend, Material, RoughnessGradient, Sampling, ShadePoint};
+use texir_core::brdf::{fresnel_weight, masking};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
 use texir_core::progress::{Progress, Silent};
@@ -11,7 +12,7 @@ use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
 use texir_core::scene::Scene;
 use texir_core::surface::{Hit, SurfacePoint};
-use texir_gpu::{GatherShape, Gpu, GpuBackend};
+use texir_gpu::{GatherShape, Gpu, GpuBackend, Hierarchy};
 use texir_tests::compare::{Tolerance, lanes3};
 use texir_tests::{gpu, scenes};
 
@@ -86,6 +87,21 @@ fn many_samples_give_the_same_sum_in_every_shape() {
 }
 
 #[test]
+fn buffers_and_textures_hold_the_same_hierarchy() {
+    let gpu = gpu();
+    let scene = room();
+    let points = points(&scene, 200);
+    let [buffers, textures] = [Hierarchy::Buffers, Hierarchy::Textures].map(|place| {
+        let mut backend = GpuBackend::with_hierarchy(&gpu, &scene, place).unwrap();
+        backend.set_tbl(&scenes::smooth_light(192)).unwrap();
+        let e = backend.irradiance(&points, Sampling { samples: 64, seed: 6 }, &Silent).unwrap();
+        (e, backend.primary(&scenes::cameras()[0]).unwrap())
+    });
+    ROUNDING.check("E", &lanes3(&buffers.0), &lanes3(&textures.0));
+    assert!(buffers.1.iter().zip(&textures.1).all(|(a, b)| a.triangle == b.triangle));
+}
+
+#[test]
 fn few_samples_give_the_same_sum_in_every_shape() {
     let scene = room();
     let mut backend = lit(&gpu(), &scene);
@@ -122,15 +138,20 @@ fn a_closed_room_of_one_radiance_is_a_furnace() {
         let got = backend.irradiance(points, Sampling { samples, seed: samples }, &Silent).unwrap();
         ROUNDING.check(&format!("E = πL, {samples} samples"), &lanes3(&got), &expected[..3 * points.len()]);
     }
-    // A smooth metal reflects L·F0 whatever it sees, up to the lobe's masking at this roughness.
+    // A nearly perfect mirror reflects L·F, times the masking g(nl) g(nv) nl nv that the model keeps even there.
     let (pixels, _) = shading(&points);
-    let mirrors = vec![Material { metallic: 1.0, ..Material::dielectric([1.0, 0.7, 0.2], 0.01) }; pixels.len()];
+    let roughness = 0.01;
+    let mirrors = vec![Material { metallic: 1.0, ..Material::dielectric([1.0, 0.7, 0.2], roughness) }; pixels.len()];
     let sampling = Sampling { samples: 16, seed: 3 };
     let shaded = backend.shade(&pixels, &mirrors, sampling, RoughnessGradient::Exact, &Silent).unwrap();
-    let f = |f0: f64, l: f64| l * (f0 + (1.0 - f0) * 2f64.powf((-5.55472 * 0.819 - 6.98316) * 0.819));
-    let expected: Vec<f64> = pixels.iter().flat_map(|_| [f(1.0, 2.0), f(0.7, 1.0), f(0.2, 0.25)]).collect();
-    let masked = Tolerance { absolute: 0.0, relative: 0.15 };
-    masked.check("mirror", &lanes3(shaded.iter().map(|s| &s.radiance)), &expected);
+    let nv = 1.0 / 1.49f64.sqrt();
+    let weight = (masking(nv, f64::from(roughness)) * nv).powi(2);
+    let x = fresnel_weight(nv);
+    let reflected = |f0: f64, l: f64| weight * l * (f0 * (1.0 - x) + x);
+    let expected: Vec<f64> =
+        pixels.iter().flat_map(|_| [reflected(1.0, 2.0), reflected(0.7, 1.0), reflected(0.2, 0.25)]).collect();
+    let narrow = Tolerance { absolute: 0.0, relative: 2e-3 };
+    narrow.check("mirror", &lanes3(shaded.iter().map(|s| &s.radiance)), &expected);
 }
 
 #[test]

@@ -15,7 +15,7 @@ use texir_core::texture::{Footprints, Pyramid};
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
 use crate::pass::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
-use crate::scene::{Geometry, tbl_texture};
+use crate::scene::{Geometry, Hierarchy, tbl_texture};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend<'a> {
@@ -30,8 +30,13 @@ pub struct GpuBackend<'a> {
 impl<'a> GpuBackend<'a> {
     /// Uploads the scene. The device's queue is used from the calling thread, and only during calls.
     pub fn new(gpu: &Gpu, scene: &'a Scene) -> Result<Self> {
-        let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, scene))?;
-        let context = Context::new(gpu.clone());
+        Self::with_hierarchy(gpu, scene, Hierarchy::best(gpu))
+    }
+
+    /// [`GpuBackend::new`] with a choice that changes speed only.
+    pub fn with_hierarchy(gpu: &Gpu, scene: &'a Scene, hierarchy: Hierarchy) -> Result<Self> {
+        let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, scene, hierarchy))?;
+        let context = Context::new(gpu.clone(), hierarchy);
         Ok(Self { scene, context, geometry, tbl: None, shape: None, cache: Default::default() })
     }
 

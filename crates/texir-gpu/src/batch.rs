@@ -12,6 +12,7 @@ use texir_core::progress::Progress;
 use crate::buffer::{Pool, View, uniform};
 use crate::gpu::Gpu;
 use crate::kernel::{Kernel, Kernels, Spec};
+use crate::scene::Hierarchy;
 use crate::wgsl::{RoughnessVariant, Variant};
 
 /// How long a dispatch should take.
@@ -62,13 +63,14 @@ pub(crate) struct Context {
     pub gpu: Gpu,
     pub pool: Pool,
     pub kernels: Kernels,
+    hierarchy: Hierarchy,
     /// Rays of the next dispatch.
     rays: f64,
 }
 
 impl Context {
-    pub fn new(gpu: Gpu) -> Self {
-        Self { gpu, pool: Pool::default(), kernels: Kernels::default(), rays: FIRST_RAYS }
+    pub fn new(gpu: Gpu, hierarchy: Hierarchy) -> Self {
+        Self { gpu, hierarchy, pool: Pool::default(), kernels: Kernels::default(), rays: FIRST_RAYS }
     }
 
     /// The kernel `shader`/`entry`, with the modules that suit the adapter.
@@ -89,7 +91,7 @@ impl Context {
         constant: Option<(&'static str, u32)>,
         roughness: RoughnessVariant,
     ) -> Result<std::sync::Arc<Kernel>> {
-        let variant = Variant { fetch_texture: self.gpu.is_cpu(), roughness };
+        let variant = Variant { fetch_texture: self.hierarchy == Hierarchy::Textures, roughness };
         self.kernels.get(&self.gpu, Spec { shader, entry, variant, constant })
     }
 

@@ -20,4 +20,5 @@ pub mod wgsl;
 pub use backend::GpuBackend;
 pub use batch::GatherShape;
 pub use gpu::{Gpu, required_features, required_limits};
+pub use scene::Hierarchy;
 pub use wgpu;

@@ -17,15 +17,31 @@ const STACK_SIZE: usize = 32;
 /// Bytes written into a texture at once.
 const TEXTURE_PIECE: usize = 32 << 20;
 
-/// An array for the shader: a buffer, or a texture where that is faster.
+/// Where the hierarchy lies on the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hierarchy {
+    /// In storage buffers: for GPUs.
+    Buffers,
+    /// In float textures, whose fetches are faster on software drivers.
+    Textures,
+}
+
+impl Hierarchy {
+    /// The faster one for a device.
+    pub fn best(gpu: &Gpu) -> Self {
+        if gpu.is_cpu() { Self::Textures } else { Self::Buffers }
+    }
+}
+
+/// An array for the shader.
 enum Words {
     Buffer(View),
     Texture(wgpu::TextureView),
 }
 
 impl Words {
-    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]]) -> Result<Self> {
-        if !gpu.is_cpu() {
+    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: Hierarchy) -> Result<Self> {
+        if place == Hierarchy::Buffers {
             return Ok(Self::Buffer(keep(gpu, name, words)?));
         }
         let mut padded;
@@ -60,7 +76,7 @@ pub(crate) struct Geometry {
 }
 
 impl Geometry {
-    pub fn new(gpu: &Gpu, scene: &Scene) -> Result<Self> {
+    pub fn new(gpu: &Gpu, scene: &Scene, place: Hierarchy) -> Result<Self> {
         let height = height(scene);
         if height > STACK_SIZE {
             return Err(Error::device(format!(
@@ -79,8 +95,8 @@ impl Geometry {
             uvs.extend([Vec4::new(a.x, a.y, b.x, b.y), Vec4::new(c.x, c.y, 0.0, 0.0)]);
         }
         Ok(Self {
-            nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes))?,
-            triangles: Words::new(gpu, "triangles", &triangles)?,
+            nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
+            triangles: Words::new(gpu, "triangles", &triangles, place)?,
             triangle_uvs: keep(gpu, "triangle coordinates", &uvs)?,
         })
     }
