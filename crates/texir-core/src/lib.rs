@@ -1,7 +1,10 @@
 //! texir without a GPU dependency: captures, the BRDF and its adjoints, the fit, and the CPU twin of every kernel.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod atlas;
+pub mod atomic_file;
 pub mod backend;
+pub mod bake;
 pub mod brdf;
 pub mod camera;
 pub mod capture;
@@ -12,12 +15,15 @@ pub mod eval;
 pub mod fit;
 pub mod glb;
 pub mod image_io;
+pub mod lights;
 pub mod mesh;
 pub mod mesh_io;
 pub mod metrics;
+pub mod outputs;
 pub mod progress;
 pub mod raster;
 pub mod real;
+pub mod render;
 pub mod rng;
 pub mod rooms;
 pub mod scene;

@@ -1,13 +1,21 @@
 //! A capture: a mesh, posed HDR views, and what is known about them. One file per format; [`load`] finds the right one.
 
-use std::path::PathBuf;
+mod load;
+pub mod nerfstudio;
+mod tbl_file;
+mod view;
 
+use std::path::{Path, PathBuf};
+
+pub use self::load::load;
 use crate::camera::Camera;
+use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::raster::{Gray, Raster, Rgb};
 
 /// What a view is used for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Split {
     /// The fit sees it.
     Train,
@@ -103,3 +111,11 @@ impl Capture {
         self.views.iter().filter(move |v| v.split == split)
     }
 }
+
+/// Posed views alone, from any camera file that texir reads: for rendering. Their images need not exist.
+pub fn load_cameras(path: impl AsRef<Path>) -> Result<Vec<View>> {
+    nerfstudio::read_transforms(path)
+}
+
+#[cfg(test)]
+mod tests;

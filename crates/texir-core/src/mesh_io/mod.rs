@@ -1,1 +1,145 @@
-//! Mesh files in.
+//! Mesh files in and out: OBJ, PLY, glTF/GLB. Whatever the format, what comes out is one checked [`Mesh`].
+
+mod atlas;
+mod gltf;
+pub mod obj;
+mod ply;
+
+use std::path::Path;
+
+use glam::{Vec2, Vec3};
+
+pub use self::atlas::{AtlasReport, atlas_report};
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+
+/// A mesh as read, and what had to be changed to make it usable.
+#[derive(Clone, Debug)]
+pub struct MeshFile {
+    /// The mesh: indices in range, positions finite, normals unit, atlas coordinates everywhere, no triangle without
+    /// area.
+    pub mesh: Mesh,
+    /// What was done to the file's content, in sentences for the user.
+    pub warnings: Vec<String>,
+}
+
+/// What a format's reader found, before any check. Attributes are per vertex; v is down already.
+#[derive(Default)]
+struct RawMesh {
+    positions: Vec<Vec3>,
+    normals: Vec<Option<Vec3>>,
+    uvs: Vec<Option<Vec2>>,
+    triangles: Vec<[u32; 3]>,
+    warnings: Vec<String>,
+}
+
+/// Reads `.obj`, `.ply`, `.glb` or `.gltf` (by extension).
+///
+/// Triangles without area and unusable normals are repaired and reported; anything that leaves the surface or its atlas
+/// in doubt is an error: positions that are not finite, indices out of range, vertices without atlas coordinates.
+pub fn read_mesh(path: impl AsRef<Path>) -> Result<MeshFile> {
+    let path = path.as_ref();
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let raw = match extension.as_str() {
+        "obj" => obj::read(path)?,
+        "ply" => ply::read(path)?,
+        "glb" | "gltf" => gltf::read(path)?,
+        _ => return Err(Error::file(path, "is no mesh that texir knows; expected .obj, .ply, .glb or .gltf")),
+    };
+    check(path, raw)
+}
+
+fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
+    Error::file(path, format!("cannot be read: {e}"))
+}
+
+fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
+    let RawMesh { positions, mut normals, uvs, mut triangles, mut warnings } = raw;
+    if triangles.is_empty() {
+        return Err(Error::file(path, "has no triangles; expected a surface, not a point cloud or curves"));
+    }
+    if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
+        return Err(Error::file(path, format!("vertex {i} is at {}; expected finite coordinates", positions[i])));
+    }
+    if let Some(t) = triangles.iter().position(|t| t.iter().any(|i| *i as usize >= positions.len())) {
+        return Err(Error::file(
+            path,
+            format!("triangle {t} uses vertices {:?}; expected indices below {}", triangles[t], positions.len()),
+        ));
+    }
+    let uvs = atlas_coordinates(path, uvs)?;
+
+    let before = triangles.len();
+    triangles.retain(|t| {
+        let [a, b, c] = t.map(|i| positions[i as usize]);
+        (b - a).cross(c - a).length_squared() > 0.0
+    });
+    if triangles.is_empty() {
+        return Err(Error::file(path, format!("all {before} triangles have no area; expected a surface")));
+    }
+    if triangles.len() < before {
+        warnings.push(format!(
+            "{}: {} of {before} triangles have no area and are left out",
+            path.display(),
+            before - triangles.len()
+        ));
+    }
+
+    for normal in &mut normals {
+        *normal = normal.and_then(|n| n.try_normalize());
+    }
+    let mut mesh = Mesh { normals: Vec::with_capacity(positions.len()), positions, uvs, triangles };
+    mesh.normals.extend(normals.iter().map(|n| n.unwrap_or_default()));
+    let flattened = flatten_where_normals_are_missing(&mut mesh, &normals);
+    if flattened > 0 {
+        warnings.push(format!(
+            "{}: {flattened} of {} triangles have no usable vertex normals and are shaded flat",
+            path.display(),
+            mesh.triangles.len()
+        ));
+    }
+    Ok(MeshFile { mesh, warnings })
+}
+
+fn atlas_coordinates(path: &Path, uvs: Vec<Option<Vec2>>) -> Result<Vec<Vec2>> {
+    let missing = uvs.iter().filter(|uv| uv.is_none()).count();
+    if missing > 0 {
+        return Err(Error::file(
+            path,
+            format!(
+                "{missing} of {} vertices have no texture coordinates; expected an atlas: every surface at a place of \
+                 its own in [0, 1]². This version does not unwrap: do it first, e.g. in Blender with UV > Smart UV Project",
+                uvs.len()
+            ),
+        ));
+    }
+    let uvs: Vec<Vec2> = uvs.into_iter().flatten().collect();
+    match uvs.iter().position(|uv| !uv.is_finite()) {
+        Some(i) => {
+            Err(Error::file(path, format!("vertex {i} has texture coordinates {}; expected finite ones", uvs[i])))
+        }
+        None => Ok(uvs),
+    }
+}
+
+/// Gives every triangle with a normal missing three vertices of its own with the face's normal; returns their number.
+fn flatten_where_normals_are_missing(mesh: &mut Mesh, normals: &[Option<Vec3>]) -> usize {
+    let missing = |t: &[u32; 3]| t.iter().any(|i| normals[*i as usize].is_none());
+    let flat: Vec<u32> = (0..mesh.triangles.len() as u32).filter(|t| missing(&mesh.triangles[*t as usize])).collect();
+    if flat.len() == mesh.triangles.len() {
+        mesh.flat_normals();
+        return flat.len();
+    }
+    for &t in &flat {
+        let base = mesh.positions.len() as u32;
+        let (corners, uvs, normal) = (mesh.corners(t), mesh.corner_uvs(t), mesh.face_normal(t));
+        mesh.positions.extend(corners);
+        mesh.uvs.extend(uvs);
+        mesh.normals.extend([normal; 3]);
+        mesh.triangles[t as usize] = [base, base + 1, base + 2];
+    }
+    flat.len()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,96 @@
+//! The atlas as surface points: which texels hold a piece of the mesh, and where in the world they are.
+
+use crate::backend::Backend;
+use crate::error::{Error, Result};
+use crate::raster::Raster;
+use crate::scene::Scene;
+use crate::surface::{Hit, SurfacePoint};
+use crate::texture::Pyramid;
+
+/// The texel map of a mesh: the valid texels of a `width × height` atlas and their surface points, in atlas order.
+#[derive(Clone, Debug)]
+pub struct Atlas {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Atlas index (row · width + column) of each valid texel, ascending.
+    pub texels: Vec<u32>,
+    /// The surface point of each valid texel, on the front side of its triangle.
+    pub points: Vec<SurfacePoint>,
+    /// Texels whose centre lies in a triangle (the others are only touched by one), per valid texel.
+    pub inside: Vec<bool>,
+}
+
+impl Atlas {
+    /// Maps every texel to the mesh. Errors when no texel is covered.
+    pub fn new(backend: &mut dyn Backend, scene: &Scene, width: usize, height: usize) -> Result<Self> {
+        let hits = backend.texels(width, height)?;
+        let covered = || hits.iter().enumerate().filter(|(_, h)| h.is_hit());
+        let atlas = Self {
+            width,
+            height,
+            texels: covered().map(|(i, _)| i as u32).collect(),
+            points: covered().map(|(_, h)| SurfacePoint::new(&scene.mesh, h, None)).collect(),
+            inside: covered().map(|(_, h): (_, &Hit)| h.t > 0.0).collect(),
+        };
+        if atlas.texels.is_empty() {
+            return Err(Error::invalid(format!(
+                "no texel of the {width}×{height} atlas is covered by the mesh: its texture coordinates are missing, \
+                 degenerate, or outside [0, 1]"
+            )));
+        }
+        Ok(atlas)
+    }
+
+    /// One flag per atlas texel: does it hold a piece of the mesh?
+    pub fn valid(&self) -> Vec<bool> {
+        let mut valid = vec![false; self.width * self.height];
+        self.texels.iter().for_each(|&t| valid[t as usize] = true);
+        valid
+    }
+
+    /// The mip pyramid over the valid texels.
+    pub fn pyramid(&self) -> Pyramid {
+        Pyramid::new(self.width, self.height, &self.valid())
+    }
+
+    /// Puts one value per valid texel into the atlas, `empty` elsewhere.
+    pub fn scatter<T: Copy>(&self, values: &[T], empty: T) -> Raster<T> {
+        let mut raster = Raster::filled(self.width, self.height, empty);
+        self.texels.iter().zip(values).for_each(|(&t, &v)| raster.data[t as usize] = v);
+        raster
+    }
+
+    /// [`Atlas::scatter`] of the values flagged `known`, then `rings` times the empty texels next to filled ones take
+    /// their first filled neighbour's value, so that lookups just outside find what is just inside.
+    pub fn scatter_padded<T: Copy>(&self, values: &[T], known: &[bool], empty: T, rings: usize) -> Raster<T> {
+        let mut raster = Raster::filled(self.width, self.height, empty);
+        let mut filled = vec![false; self.width * self.height];
+        for ((&texel, &value), _) in self.texels.iter().zip(values).zip(known).filter(|(_, known)| **known) {
+            raster.data[texel as usize] = value;
+            filled[texel as usize] = true;
+        }
+        for _ in 0..rings {
+            let before = filled.clone();
+            for y in 0..self.height {
+                for x in 0..self.width {
+                    if before[y * self.width + x] {
+                        continue;
+                    }
+                    let neighbours = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (2, 0), (0, 2), (2, 2)]
+                        .into_iter()
+                        .filter_map(|(dx, dy)| {
+                            let (nx, ny) = ((x + dx).checked_sub(1)?, (y + dy).checked_sub(1)?);
+                            (nx < self.width && ny < self.height).then_some(ny * self.width + nx)
+                        });
+                    if let Some(from) = neighbours.into_iter().find(|&n| before[n]) {
+                        raster.data[y * self.width + x] = raster.data[from];
+                        filled[y * self.width + x] = true;
+                    }
+                }
+            }
+        }
+        raster
+    }
+}

@@ -1,0 +1,85 @@
+//! Output files that are either complete or absent: written beside their destination, then renamed onto it.
+
+use std::fmt::Display;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use crate::error::{Error, Result};
+
+/// What [`write_atomic`] hands to its closure: buffered, seekable.
+pub type Sink<'a> = BufWriter<&'a mut File>;
+
+/// Writes `path` through a temporary file in the same folder, which replaces `path` once `write` succeeded and every
+/// byte is on its way to the disk. On any failure `path` is as it was. Missing folders are made.
+pub fn write_atomic<E: Display>(
+    path: impl AsRef<Path>,
+    write: impl FnOnce(&mut Sink) -> std::result::Result<(), E>,
+) -> Result<()> {
+    let path = path.as_ref();
+    let failed = |what: &dyn Display| Error::file(path, format!("cannot be written: {what}"));
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    std::fs::create_dir_all(folder).map_err(|e| failed(&e))?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".texir-").suffix(".part");
+    // A temporary file is private by default; an output is as readable as the user's umask allows.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut temporary = builder.tempfile_in(folder).map_err(|e| failed(&e))?;
+    let mut sink = BufWriter::new(temporary.as_file_mut());
+    write(&mut sink).map_err(|e| failed(&e))?;
+    sink.flush().map_err(|e| failed(&e))?;
+    drop(sink);
+    temporary.persist(path).map_err(|e| failed(&e.error))?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.txt");
+        write_atomic(&path, |w| w.write_all(b"first")).unwrap();
+        let error = write_atomic(&path, |w| {
+            w.write_all(b"half").map_err(|e| e.to_string())?;
+            Err("no more paper".to_owned())
+        })
+        .unwrap_err()
+        .to_string();
+        assert!(error.contains("out.txt") && error.contains("no more paper"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(names(folder.path()), ["out.txt"]);
+    }
+
+    #[test]
+    fn missing_folders_are_made_and_success_replaces() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a/b/out.txt");
+        for text in ["first", "second"] {
+            write_atomic(&path, |w| w.write_all(text.as_bytes())).unwrap();
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn outputs_have_the_permissions_of_an_ordinary_new_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let (ours, ordinary) = (folder.path().join("ours"), folder.path().join("ordinary"));
+        write_atomic(&ours, |w| w.write_all(b"x")).unwrap();
+        std::fs::write(&ordinary, b"x").unwrap();
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&ours), mode(&ordinary));
+    }
+}

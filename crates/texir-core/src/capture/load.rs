@@ -1,0 +1,158 @@
+//! Finds the parts of a capture folder, reads what fits in memory, and checks the rest by its headers.
+
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+
+use super::{Capture, LoadOptions, Split, Tbl, Truth, View, nerfstudio};
+use crate::error::{Error, Result};
+use crate::image_io::{read_gray, read_rgb, read_size, sanitise_radiance};
+use crate::mesh::Mesh;
+use crate::mesh_io::{atlas_report, read_mesh};
+use crate::progress::Progress;
+
+/// Looked for in this order.
+const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
+/// The atlas is checked for overlaps at this many texels squared.
+const ATLAS_CHECK_SIZE: usize = 1024;
+/// Rounding and shared chart borders explain overlaps up to this fraction of the covered texels.
+const TOLERATED_OVERLAP: f64 = 0.01;
+
+/// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
+/// `roughness_tex.exr`, `emission_tex.exr` where they exist. Views stay on disk; their headers are read.
+///
+/// What can be worked with is warned about; what cannot is an error that names the file and the field.
+pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Progress) -> Result<Capture> {
+    let root = folder.as_ref().to_owned();
+    if !root.is_dir() {
+        return Err(Error::file(&root, "is no folder; expected a capture: transforms.json, a mesh and its images"));
+    }
+    let views = nerfstudio::read_transforms(root.join("transforms.json"))?;
+    if !views.iter().any(|v| v.split == Split::Train) {
+        return Err(Error::file(
+            root.join("transforms.json"),
+            format!("split: none of the {} views is for training; expected at least one \"train\"", views.len()),
+        ));
+    }
+    for view in &views {
+        progress.check()?;
+        view.check_files()?;
+    }
+    check_light(&root, &views, progress)?;
+
+    let mesh_path = match &options.mesh {
+        Some(path) => path.clone(),
+        None => find_mesh(&root)?,
+    };
+    progress.check()?;
+    let file = read_mesh(&mesh_path)?;
+    file.warnings.iter().for_each(|w| progress.warn(w));
+    let mesh = file.mesh;
+    warn_about_atlas(&mesh_path, &mesh, progress);
+    warn_about_positions(&root, &views, &mesh, progress);
+
+    let existing = |name: &str| Some(root.join(name)).filter(|path| path.is_file());
+    let tbl = match options.tbl.clone().or_else(|| existing("hdr_texture.exr")) {
+        Some(path) => Some(Tbl::read(path, progress)?),
+        None => None,
+    };
+    let truth = match (existing("albedo_tex.exr"), existing("roughness_tex.exr")) {
+        (Some(albedo), Some(roughness)) => Some(read_truth(&albedo, &roughness)?),
+        (None, None) => None,
+        (Some(one), None) | (None, Some(one)) => {
+            progress.warn(&format!(
+                "{}: ground truth needs both albedo_tex.exr and roughness_tex.exr; the one alone is not used",
+                one.display()
+            ));
+            None
+        }
+    };
+    let emission = match existing("emission_tex.exr") {
+        Some(path) => {
+            let mut emission = read_rgb(&path)?;
+            let found = sanitise_radiance(&mut emission);
+            if !found.is_clean() {
+                progress.warn(&format!("{}: {found}", path.display()));
+            }
+            Some(emission)
+        }
+        None => None,
+    };
+    Ok(Capture { root, mesh_path, mesh, views, tbl, truth, emission })
+}
+
+fn find_mesh(root: &Path) -> Result<PathBuf> {
+    MESH_NAMES.iter().map(|name| root.join(name)).find(|path| path.is_file()).ok_or_else(|| {
+        Error::file(root, format!("has no mesh; expected one of {}, or name one with --mesh", MESH_NAMES.join(", ")))
+    })
+}
+
+/// At least one training view must hold light. Views are decoded only until one does.
+fn check_light(root: &Path, views: &[View], progress: &dyn Progress) -> Result<()> {
+    let training: Vec<&View> = views.iter().filter(|v| v.split == Split::Train).collect();
+    for view in &training {
+        progress.check()?;
+        // What is wrong with single pixels is said when the view is used.
+        let mut image = read_rgb(&view.image)?;
+        sanitise_radiance(&mut image);
+        if image.data.iter().flatten().any(|v| *v > 0.0) {
+            return Ok(());
+        }
+    }
+    Err(Error::file(
+        root.join("transforms.json"),
+        format!(
+            "file_path: all {} training images are black: there is no light to explain; expected linear radiance above 0",
+            training.len()
+        ),
+    ))
+}
+
+fn warn_about_atlas(path: &Path, mesh: &Mesh, progress: &dyn Progress) {
+    let report = atlas_report(mesh, ATLAS_CHECK_SIZE);
+    if report.overlapping_fraction > TOLERATED_OVERLAP {
+        progress.warn(&format!(
+            "{}: texture coordinates overlap on {:.1} % of the covered atlas: surfaces that share texels will share one \
+             material and one light; unwrap the mesh anew for an atlas without overlaps",
+            path.display(),
+            100.0 * report.overlapping_fraction
+        ));
+    }
+    if report.outside_unit_square_triangles > 0 {
+        progress.warn(&format!(
+            "{}: {} of {} triangles have texture coordinates outside of [0, 1]: what lies there gets no texels; unwrap \
+             the mesh anew into one atlas",
+            path.display(),
+            report.outside_unit_square_triangles,
+            mesh.triangles.len()
+        ));
+    }
+}
+
+fn warn_about_positions(root: &Path, views: &[View], mesh: &Mesh, progress: &dyn Progress) {
+    let (low, high) = mesh.bounds();
+    let inside = |p: Vec3| p.cmpge(low).all() && p.cmple(high).all();
+    let outside: Vec<&View> = views.iter().filter(|v| !inside(v.camera.position())).collect();
+    if let Some(first) = outside.first() {
+        progress.warn(&format!(
+            "{}: transform_matrix: {} of {} cameras are outside of the mesh's bounds {low} to {high}, the first is {:?} at \
+             {}: are mesh and cameras in the same frame and in metres?",
+            root.join("transforms.json").display(),
+            outside.len(),
+            views.len(),
+            first.name,
+            first.camera.position()
+        ));
+    }
+}
+
+fn read_truth(albedo: &Path, roughness: &Path) -> Result<Truth> {
+    let (of_albedo, of_roughness) = (read_size(albedo)?, read_size(roughness)?);
+    if of_albedo != of_roughness {
+        return Err(Error::file(
+            roughness,
+            format!("is {of_roughness:?} texels; expected {of_albedo:?}, as {} has", albedo.display()),
+        ));
+    }
+    Ok(Truth { albedo: read_rgb(albedo)?, roughness: read_gray(roughness)? })
+}

@@ -1,0 +1,377 @@
+//! nerfstudio's `transforms.json`, in and out, with texir's extra keys per frame.
+//!
+//! Poses are camera-to-world with OpenGL axes, which is what [`Camera`] holds. Paths are relative to the file's folder.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Component, Path, PathBuf};
+
+use glam::{DMat3, DMat4, DVec4};
+use serde::{Deserialize, Serialize};
+
+use super::{Split, View};
+use crate::atomic_file::write_atomic;
+use crate::camera::{Camera, Projection};
+use crate::error::{Error, Result};
+
+/// A rotation may differ from an orthonormal one by this much per entry of RᵀR: files with few digits, f32 arithmetic.
+const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
+
+#[derive(Default, Deserialize, Serialize)]
+struct Transforms {
+    #[serde(flatten)]
+    model: CameraModel,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    train_filenames: Option<Vec<String>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    val_filenames: Option<Vec<String>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    test_filenames: Option<Vec<String>>,
+    frames: Vec<Frame>,
+}
+
+/// May stand once for the file, in a frame, or be split between the two; the frame's value wins.
+#[derive(Clone, Default, PartialEq, Deserialize, Serialize)]
+#[serde(default)]
+struct CameraModel {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    camera_model: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    w: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    h: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fl_x: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fl_y: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cx: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cy: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    k1: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    k2: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    k3: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    k4: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    p1: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    p2: Option<f64>,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+struct Frame {
+    file_path: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    semantic_path: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mask_path: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    room_path: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    albedo_path: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    roughness_path: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    split: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    room_id: Option<u16>,
+    #[serde(flatten)]
+    model: CameraModel,
+    transform_matrix: Vec<Vec<f64>>,
+}
+
+/// Reads posed views. Only the file itself is read and checked; whether the images exist is the caller's concern.
+pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
+    let path = path.as_ref();
+    let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+    let file: Transforms = serde_json::from_str(&text)
+        .map_err(|e| Error::file(path, format!("is no transforms.json as nerfstudio writes it: {e}")))?;
+    if file.frames.is_empty() {
+        return Err(Error::file(path, "frames is empty; expected at least one view"));
+    }
+    let names = names(path, &file.frames)?;
+    let splits = SplitLists::new(&file);
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let view = |(index, (frame, name)): (usize, (&Frame, String))| {
+        let place = Place { path, index, file_path: &frame.file_path };
+        let local = |file: &Option<String>| file.as_ref().map(|file| folder.join(file));
+        Ok(View {
+            name,
+            camera: frame.model.or(&file.model).camera(&place, &frame.transform_matrix)?,
+            split: splits.of(&place, frame)?,
+            image: folder.join(&frame.file_path),
+            semantic: local(&frame.semantic_path),
+            mask: local(&frame.mask_path),
+            room: local(&frame.room_path),
+            room_id: frame.room_id,
+            albedo: local(&frame.albedo_path),
+            roughness: local(&frame.roughness_path),
+        })
+    };
+    file.frames.iter().zip(names).enumerate().map(view).collect()
+}
+
+/// Where in the file something is wrong.
+struct Place<'a> {
+    path: &'a Path,
+    index: usize,
+    file_path: &'a str,
+}
+
+impl Place<'_> {
+    fn error(&self, field: &str, what: impl std::fmt::Display) -> Error {
+        Error::file(self.path, format!("frames[{}] ({}): {field} {what}", self.index, self.file_path))
+    }
+}
+
+/// File stems; where two frames share one (`left/0.exr`, `right/0.exr`), the whole path with `_` between its parts.
+fn names(path: &Path, frames: &[Frame]) -> Result<Vec<String>> {
+    let mut uses = HashMap::<String, usize>::new();
+    let stem = |frame: &Frame| Path::new(&frame.file_path).file_stem().map(|s| s.to_string_lossy().into_owned());
+    for frame in frames {
+        *uses.entry(stem(frame).unwrap_or_default()).or_default() += 1;
+    }
+    let mut taken = HashSet::new();
+    let mut name = |(index, frame): (usize, &Frame)| {
+        let place = Place { path, index, file_path: &frame.file_path };
+        let stem = stem(frame).ok_or_else(|| place.error("file_path", "names no file; expected the view's image"))?;
+        let name = if uses[&stem] == 1 {
+            stem
+        } else {
+            let parts = Path::new(&frame.file_path).with_extension("");
+            let parts = parts.components().filter_map(|c| match c {
+                Component::Normal(part) => Some(part.to_string_lossy().into_owned()),
+                _ => None,
+            });
+            parts.collect::<Vec<_>>().join("_")
+        };
+        if !taken.insert(name.clone()) {
+            return Err(
+                place.error("file_path", format!("gives the name {name:?} a second time; expected each view once"))
+            );
+        }
+        Ok(name)
+    };
+    frames.iter().enumerate().map(&mut name).collect()
+}
+
+/// nerfstudio's lists of file names, for frames without a `split`.
+struct SplitLists<'a> {
+    train: Option<HashSet<&'a str>>,
+    held_out: HashSet<&'a str>,
+}
+
+impl<'a> SplitLists<'a> {
+    fn new(file: &'a Transforms) -> Self {
+        let train = file.train_filenames.as_ref().map(|names| names.iter().map(String::as_str).collect());
+        let held_out = file.val_filenames.iter().chain(&file.test_filenames).flatten().map(String::as_str).collect();
+        Self { train, held_out }
+    }
+
+    /// The frame's own `split`; else, with a list of training files, whether it is on it; else whether it is on none of
+    /// the lists of held-out files.
+    fn of(&self, place: &Place, frame: &Frame) -> Result<Split> {
+        let name = frame.file_path.as_str();
+        let train = match (&frame.split, &self.train) {
+            (Some(split), _) if split.starts_with("train") => true,
+            (Some(split), _) if ["novel", "test", "val", "eval"].iter().any(|s| split.starts_with(s)) => false,
+            (Some(split), _) => {
+                let what =
+                    format!("is {split:?}; expected \"train\", or \"novel\", \"test\" or \"val\" for held-out views");
+                return Err(place.error("split", what));
+            }
+            (None, Some(train)) => train.contains(name),
+            (None, None) => !self.held_out.contains(name),
+        };
+        Ok(if train { Split::Train } else { Split::Novel })
+    }
+}
+
+impl CameraModel {
+    fn or(&self, file: &Self) -> Self {
+        Self {
+            camera_model: self.camera_model.clone().or_else(|| file.camera_model.clone()),
+            w: self.w.or(file.w),
+            h: self.h.or(file.h),
+            fl_x: self.fl_x.or(file.fl_x),
+            fl_y: self.fl_y.or(file.fl_y),
+            cx: self.cx.or(file.cx),
+            cy: self.cy.or(file.cy),
+            k1: self.k1.or(file.k1),
+            k2: self.k2.or(file.k2),
+            k3: self.k3.or(file.k3),
+            k4: self.k4.or(file.k4),
+            p1: self.p1.or(file.p1),
+            p2: self.p2.or(file.p2),
+        }
+    }
+
+    fn camera(&self, place: &Place, rows: &[Vec<f64>]) -> Result<Camera> {
+        let projection = match self.camera_model.as_deref() {
+            Some("EQUIRECTANGULAR") => Projection::Equirectangular,
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV") => self.pinhole(place)?,
+            other => {
+                let found = other.unwrap_or("missing");
+                let what = format!("is {found}; expected EQUIRECTANGULAR, PINHOLE, or OPENCV without distortion");
+                return Err(place.error("camera_model", what));
+            }
+        };
+        Ok(Camera {
+            projection,
+            width: size(place, "w", self.w)?,
+            height: size(place, "h", self.h)?,
+            world_from_camera: pose(place, rows)?.as_mat4(),
+        })
+    }
+
+    fn pinhole(&self, place: &Place) -> Result<Projection> {
+        let distortion =
+            [("k1", self.k1), ("k2", self.k2), ("k3", self.k3), ("k4", self.k4), ("p1", self.p1), ("p2", self.p2)];
+        if let Some((field, value)) = distortion.iter().find_map(|(field, v)| Some((*field, v.filter(|v| *v != 0.0)?)))
+        {
+            let what = format!(
+                "is {value}; expected 0, no distortion: undistort the images first (colmap \
+                                image_undistorter, or nerfstudio's own export)"
+            );
+            return Err(place.error(field, what));
+        }
+        let focal = |field, value: Option<f64>| match value {
+            Some(v) if v > 0.0 && v.is_finite() => Ok(v as f32),
+            _ => Err(place.error(field, format!("is {}; expected a focal length in pixels", shown(value)))),
+        };
+        let centre = |field, value: Option<f64>| match value {
+            Some(v) if v.is_finite() => Ok(v as f32),
+            _ => Err(place.error(field, format!("is {}; expected the principal point in pixels", shown(value)))),
+        };
+        Ok(Projection::Pinhole {
+            fx: focal("fl_x", self.fl_x)?,
+            fy: focal("fl_y", self.fl_y)?,
+            cx: centre("cx", self.cx)?,
+            cy: centre("cy", self.cy)?,
+        })
+    }
+
+    fn of(camera: &Camera) -> Self {
+        let (w, h) = (camera.width as f64, camera.height as f64);
+        let (name, [fl_x, fl_y, cx, cy]) = match camera.projection {
+            // nerfstudio wants intrinsics for panoramas as well: half the turn per width, the image's centre.
+            Projection::Equirectangular => ("EQUIRECTANGULAR", [w / 2.0, h, w / 2.0, h / 2.0]),
+            Projection::Pinhole { fx, fy, cx, cy } => ("PINHOLE", [fx, fy, cx, cy].map(f64::from)),
+        };
+        Self {
+            camera_model: Some(name.to_owned()),
+            w: Some(w),
+            h: Some(h),
+            fl_x: Some(fl_x),
+            fl_y: Some(fl_y),
+            cx: Some(cx),
+            cy: Some(cy),
+            ..Self::default()
+        }
+    }
+}
+
+fn shown(value: Option<f64>) -> String {
+    value.map_or("missing".to_owned(), |v| v.to_string())
+}
+
+fn size(place: &Place, field: &str, value: Option<f64>) -> Result<usize> {
+    match value {
+        Some(v) if v >= 1.0 && v <= f64::from(u16::MAX) && v.fract() == 0.0 => Ok(v as usize),
+        _ => {
+            Err(place.error(field, format!("is {}; expected the image's size, a whole number of pixels", shown(value))))
+        }
+    }
+}
+
+/// `world_from_camera`, once it is known to be rigid.
+fn pose(place: &Place, rows: &[Vec<f64>]) -> Result<DMat4> {
+    let wrong = |what: String| Err(place.error("transform_matrix", what));
+    if !matches!(rows.len(), 3 | 4) || rows.iter().any(|row| row.len() != 4) {
+        let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
+        return wrong(format!("has rows of {lengths:?} numbers; expected 4 rows (or 3) of 4"));
+    }
+    let row = |i: usize| rows.get(i).map_or(DVec4::W, |row| DVec4::from_slice(row));
+    let matrix = DMat4::from_cols(row(0), row(1), row(2), row(3)).transpose();
+    if !matrix.is_finite() {
+        return wrong(format!("has the rows {rows:?}; expected finite numbers"));
+    }
+    if row(3) != DVec4::W {
+        return wrong(format!("has {} as its last row; expected [0, 0, 0, 1]: is the matrix transposed?", row(3)));
+    }
+    let rotation = DMat3::from_mat4(matrix);
+    let determinant = rotation.determinant();
+    let lengths = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|axis| axis.length());
+    // Relative to the lengths of the axes, so that a tiny but proper scale is not mistaken for a singular matrix.
+    let spanned = determinant / lengths.iter().product::<f64>();
+    if !(spanned.abs() > 1e-6) {
+        return wrong(format!(
+            "is singular (determinant {determinant:.3e}); expected a rotation and a translation, camera to world"
+        ));
+    }
+    if determinant < 0.0 {
+        return wrong(format!(
+            "mirrors (determinant {determinant:.3}); expected a rotation of determinant +1: flip one axis, as when \
+             converting from a left-handed frame"
+        ));
+    }
+    let difference = rotation.transpose() * rotation - DMat3::IDENTITY;
+    let largest = difference.to_cols_array().into_iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    if largest > ORTHONORMAL_TOLERANCE {
+        return wrong(format!(
+            "is not rigid: its axes have the lengths {:.4}, {:.4}, {:.4} and RᵀR differs from 1 by {largest:.2e}; expected \
+             an orthonormal rotation: take the scale and the shear out of it",
+            lengths[0], lengths[1], lengths[2]
+        ));
+    }
+    Ok(matrix)
+}
+
+/// Writes views as `transforms.json`: what [`read_transforms`] reads back, and nerfstudio too. Paths under the file's
+/// folder are written relative to it; other relative paths are taken to be so already.
+pub fn write_transforms(path: impl AsRef<Path>, views: &[View]) -> Result<()> {
+    let path = path.as_ref();
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let local = |file: &PathBuf| relative(folder, file);
+    // What all views share is written once.
+    let shared = views.first().map(|v| CameraModel::of(&v.camera)).unwrap_or_default();
+    let frame = |view: &View| {
+        let model = CameraModel::of(&view.camera);
+        Frame {
+            file_path: local(&view.image),
+            semantic_path: view.semantic.as_ref().map(local),
+            mask_path: view.mask.as_ref().map(local),
+            room_path: view.room.as_ref().map(local),
+            albedo_path: view.albedo.as_ref().map(local),
+            roughness_path: view.roughness.as_ref().map(local),
+            split: Some(if view.split == Split::Train { "train" } else { "novel" }.to_owned()),
+            room_id: view.room_id,
+            model: if model == shared { CameraModel::default() } else { model },
+            transform_matrix: view
+                .camera
+                .world_from_camera
+                .transpose()
+                .to_cols_array_2d()
+                .map(|row| row.map(f64::from).to_vec())
+                .to_vec(),
+        }
+    };
+    let of_split = |split| views.iter().filter(|v| v.split == split).map(|v| local(&v.image)).collect();
+    let file = Transforms {
+        train_filenames: Some(of_split(Split::Train)),
+        test_filenames: Some(of_split(Split::Novel)),
+        val_filenames: None,
+        frames: views.iter().map(frame).collect(),
+        model: shared,
+    };
+    write_atomic(path, |sink| serde_json::to_writer_pretty(sink, &file))
+}
+
+/// `file` as seen from `folder`, with `/` between its parts.
+fn relative(folder: &Path, file: &Path) -> String {
+    let inner = file.strip_prefix(folder).unwrap_or(file);
+    inner.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/")
+}

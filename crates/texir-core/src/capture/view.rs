@@ -1,0 +1,101 @@
+//! The pixels of a view, read when asked for and checked against its camera.
+
+use std::path::Path;
+
+use super::View;
+use crate::error::{Error, Result};
+use crate::image_io::{self, read_gray, read_labels, read_mask, read_rgb, sanitise_radiance};
+use crate::progress::Progress;
+use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
+
+impl View {
+    /// The radiance, linear. Channels that no radiance can have are set to 0, and a warning says how many.
+    pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
+        let mut image = self.sized(&self.image, read_rgb(&self.image)?)?;
+        let found = sanitise_radiance(&mut image);
+        if !found.is_clean() {
+            progress.warn(&format!("{}: {found}", self.image.display()));
+        }
+        Ok(image)
+    }
+
+    /// Semantic class per pixel; 0 is "unknown".
+    pub fn load_semantic(&self) -> Result<Option<Labels>> {
+        self.load(self.semantic.as_deref(), read_labels)
+    }
+
+    /// Pixels to use.
+    pub fn load_mask(&self) -> Result<Option<Mask>> {
+        self.load(self.mask.as_deref(), read_mask)
+    }
+
+    /// Room id per pixel; 0 is "unknown".
+    pub fn load_room(&self) -> Result<Option<Labels>> {
+        self.load(self.room.as_deref(), read_labels)
+    }
+
+    /// Ground-truth albedo, linear.
+    pub fn load_albedo(&self) -> Result<Option<Rgb>> {
+        self.load(self.albedo.as_deref(), read_rgb)
+    }
+
+    /// Ground-truth perceptual roughness.
+    pub fn load_roughness(&self) -> Result<Option<Gray>> {
+        self.load(self.roughness.as_deref(), read_gray)
+    }
+
+    /// Every file that belongs to the view, with the field of `transforms.json` that names it.
+    fn files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
+        let optional = [
+            ("semantic_path", &self.semantic),
+            ("mask_path", &self.mask),
+            ("room_path", &self.room),
+            ("albedo_path", &self.albedo),
+            ("roughness_path", &self.roughness),
+        ];
+        let present = optional.into_iter().filter_map(|(field, path)| Some((field, path.as_deref()?)));
+        std::iter::once(("file_path", self.image.as_path())).chain(present)
+    }
+
+    /// Reads the headers of all files and compares their sizes with the camera's.
+    pub(super) fn check_files(&self) -> Result<()> {
+        for (field, path) in self.files() {
+            if !path.is_file() {
+                return Err(Error::file(
+                    path,
+                    format!("does not exist, but is the {field} of view {:?}; expected an image", self.name),
+                ));
+            }
+            self.check_size(field, path, image_io::read_size(path)?)?;
+        }
+        Ok(())
+    }
+
+    fn load<'a, T>(
+        &self,
+        path: Option<&'a Path>,
+        read: impl Fn(&'a Path) -> Result<Raster<T>>,
+    ) -> Result<Option<Raster<T>>> {
+        path.map(|path| self.sized(path, read(path)?)).transpose()
+    }
+
+    fn sized<T>(&self, path: &Path, raster: Raster<T>) -> Result<Raster<T>> {
+        self.check_size("image", path, raster.size())?;
+        Ok(raster)
+    }
+
+    fn check_size(&self, field: &str, path: &Path, (width, height): (usize, usize)) -> Result<()> {
+        let camera = &self.camera;
+        if (width, height) == (camera.width, camera.height) {
+            return Ok(());
+        }
+        Err(Error::file(
+            path,
+            format!(
+                "{field} of view {:?} is {width}×{height} pixels; expected {}×{}, the w and h of its camera: resize the \
+                 file, or correct w and h",
+                self.name, camera.width, camera.height
+            ),
+        ))
+    }
+}

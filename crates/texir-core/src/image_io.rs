@@ -1,1 +1,0 @@
-//! Image files in and out: OpenEXR, Radiance HDR, PNG.

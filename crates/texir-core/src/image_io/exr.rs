@@ -1,0 +1,134 @@
+//! OpenEXR: any layer layout in, one flat layer of ZIP-compressed 32-bit floats out.
+
+use std::path::Path;
+
+use exr::prelude::{
+    Encoding, FlatImage, FlatSamples, Image, Layer, LayerAttributes, MetaData, ReadChannels, ReadLayers,
+    SpecificChannels, Vec2, WritableImage, read,
+};
+
+use super::{cannot_read, check_size};
+use crate::atomic_file::write_atomic;
+use crate::error::{Error, Result};
+use crate::raster::{Gray, Raster, Rgb};
+
+/// Size of the display window, from the header.
+pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
+    let meta = MetaData::read_from_file(path, false).map_err(|e| cannot_read(path, e))?;
+    for header in &meta.headers {
+        check_size(path, header.layer_size.width(), header.layer_size.height())?;
+    }
+    match meta.headers.first() {
+        Some(header) => Ok(header.shared_attributes.display_window.size.into()),
+        None => Err(Error::file(path, "has no layer; expected an image")),
+    }
+}
+
+pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {
+    read_channels(path, "channels R, G and B, or Y", |names| {
+        let find = |name: &str| names.iter().position(|n| n == name);
+        if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
+            return Some([r, g, b]);
+        }
+        if let Some(y) = find("Y") {
+            return Some([y; 3]);
+        }
+        // A named layer in a single part: "ViewLayer.Combined.R".
+        names.iter().enumerate().find_map(|(r, name)| {
+            let layer = name.strip_suffix(".R")?;
+            Some([r, find(&format!("{layer}.G"))?, find(&format!("{layer}.B"))?])
+        })
+    })
+}
+
+pub(super) fn read_gray(path: &Path) -> Result<Gray> {
+    size(path)?;
+    let gray = read_channels(path, "one channel, or one named Y or R", |names| {
+        let find = |name: &str| names.iter().position(|n| n == name);
+        let only = (names.len() == 1).then_some(0);
+        only.or_else(|| find("Y")).or_else(|| find("R")).map(|i| [i])
+    })?;
+    Ok(gray.map(|[v]| *v))
+}
+
+/// The channels that `select` picks by name from the first layer that has them, placed in the display window: pixels
+/// outside of the data window are 0.
+fn read_channels<const N: usize>(
+    path: &Path,
+    expected: &str,
+    select: impl Fn(&[String]) -> Option<[usize; N]>,
+) -> Result<Raster<[f32; N]>> {
+    let image: FlatImage = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .from_file(path)
+        .map_err(|e| cannot_read(path, e))?;
+    let mut found = Vec::new();
+    for layer in &image.layer_data {
+        let channels = &layer.channel_data.list;
+        let names: Vec<String> = channels.iter().map(|c| c.name.to_string()).collect();
+        let Some(picked) = select(&names) else {
+            found.extend(names);
+            continue;
+        };
+        let mut planes = [&channels[0]; N];
+        for (plane, index) in planes.iter_mut().zip(picked) {
+            *plane = &channels[index];
+            if plane.sampling != Vec2(1, 1) {
+                return Err(Error::file(
+                    path,
+                    format!("channel {} is subsampled; expected one value per pixel", names[index]),
+                ));
+            }
+        }
+        let window = image.attributes.display_window;
+        let offset = layer.attributes.layer_position - window.position;
+        let mut raster = Raster::filled(window.size.width(), window.size.height(), [0.0; N]);
+        for (y, row) in raster.data.chunks_exact_mut(window.size.width()).enumerate() {
+            let Some(source_y) = inside(y, offset.y(), layer.size.height()) else { continue };
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let Some(source_x) = inside(x, offset.x(), layer.size.width()) else { continue };
+                let index = source_y * layer.size.width() + source_x;
+                *pixel = planes.map(|plane| sample(&plane.sample_data, index));
+            }
+        }
+        return Ok(raster);
+    }
+    Err(Error::file(path, format!("has the channels {}; expected {expected}", found.join(", "))))
+}
+
+/// `at - offset`, when that lies in `0..length`.
+fn inside(at: usize, offset: i32, length: usize) -> Option<usize> {
+    usize::try_from(at as i64 - i64::from(offset)).ok().filter(|i| *i < length)
+}
+
+fn sample(samples: &FlatSamples, index: usize) -> f32 {
+    match samples {
+        FlatSamples::F16(values) => values[index].to_f32(),
+        FlatSamples::F32(values) => values[index],
+        FlatSamples::U32(values) => values[index] as f32,
+    }
+}
+
+/// Writes linear RGB as OpenEXR: R, G, B, 32-bit float, ZIP.
+pub fn write_rgb(path: impl AsRef<Path>, image: &Rgb) -> Result<()> {
+    let channels = SpecificChannels::build()
+        .with_channel::<f32>("R")
+        .with_channel::<f32>("G")
+        .with_channel::<f32>("B")
+        .with_pixel_fn(|at: Vec2<usize>| <(f32, f32, f32)>::from(*image.at(at.x(), at.y())));
+    let layer = Layer::new(image.size(), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, channels);
+    write_atomic(path, |sink| Image::from_layer(layer).write().to_buffered(sink))
+}
+
+/// Writes one linear channel as OpenEXR: Y, 32-bit float, ZIP.
+pub fn write_gray(path: impl AsRef<Path>, image: &Gray) -> Result<()> {
+    let channels = SpecificChannels::build()
+        .with_channel::<f32>("Y")
+        .with_pixel_fn(|at: Vec2<usize>| (*image.at(at.x(), at.y()),));
+    let layer = Layer::new(image.size(), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, channels);
+    write_atomic(path, |sink| Image::from_layer(layer).write().to_buffered(sink))
+}

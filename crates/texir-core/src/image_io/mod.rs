@@ -1,0 +1,229 @@
+//! Image files in and out: OpenEXR, Radiance HDR and float TIFF for linear values, PNG for labels, masks and previews.
+//!
+//! Files are recognised by their first bytes, not by their names. Every writer leaves a whole file or none
+//! ([`crate::atomic_file`]).
+
+mod exr;
+mod png;
+
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+
+pub use self::exr::{write_gray, write_rgb};
+pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
+use crate::error::{Error, Result};
+use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
+
+/// Images with more pixels than this (16384²) are refused before memory is taken for them: a damaged header must not
+/// bring the machine down.
+const MAX_PIXELS: usize = 1 << 28;
+
+/// What a file's first bytes say it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    OpenExr,
+    RadianceHdr,
+    Tiff,
+    Png,
+    Jpeg,
+}
+
+fn format_of(path: &Path) -> Result<Format> {
+    let mut start = Vec::with_capacity(16);
+    let file = File::open(path).map_err(|e| cannot_read(path, e))?;
+    file.take(16).read_to_end(&mut start).map_err(|e| cannot_read(path, e))?;
+    Ok(match start.as_slice() {
+        [0x76, 0x2f, 0x31, 0x01, ..] => Format::OpenExr,
+        [b'#', b'?', ..] => Format::RadianceHdr,
+        [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => Format::Tiff,
+        [0x89, b'P', b'N', b'G', ..] => Format::Png,
+        [0xff, 0xd8, 0xff, ..] => Format::Jpeg,
+        _ => {
+            return Err(Error::file(
+                path,
+                "is no image that texir knows; expected OpenEXR, Radiance HDR, float TIFF or PNG",
+            ));
+        }
+    })
+}
+
+fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
+    Error::file(path, format!("cannot be read: {e}"))
+}
+
+/// An image of this size, read from `path`, fits the limit.
+fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
+    match width.checked_mul(height) {
+        Some(1..=MAX_PIXELS) => Ok(()),
+        _ => Err(Error::file(path, format!("is {width}×{height} pixels; expected 1 to {MAX_PIXELS} of them"))),
+    }
+}
+
+/// `(width, height)` from the file's header alone. For OpenEXR the display window counts.
+pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
+    let path = path.as_ref();
+    let (width, height) = match format_of(path)? {
+        Format::OpenExr => exr::size(path)?,
+        format => {
+            let mut reader = ImageReader::open(path).map_err(|e| cannot_read(path, e))?;
+            reader.set_format(match format {
+                Format::RadianceHdr => ImageFormat::Hdr,
+                Format::Tiff => ImageFormat::Tiff,
+                Format::Jpeg => ImageFormat::Jpeg,
+                Format::Png | Format::OpenExr => ImageFormat::Png,
+            });
+            let (width, height) = reader.into_dimensions().map_err(|e| cannot_read(path, e))?;
+            (width as usize, height as usize)
+        }
+    };
+    check_size(path, width, height)?;
+    Ok((width, height))
+}
+
+/// Linear RGB: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone), Radiance HDR (divided by
+/// the exposure in its header, as the format asks), 32-bit float TIFF. 8-bit formats are refused: their encoding and
+/// their clipping are unknown.
+pub fn read_rgb(path: impl AsRef<Path>) -> Result<Rgb> {
+    let path = path.as_ref();
+    read_size(path)?;
+    match format_of(path)? {
+        Format::OpenExr => exr::read_rgb(path),
+        Format::RadianceHdr => read_radiance_hdr(path),
+        Format::Tiff => read_float_tiff(path),
+        format @ (Format::Png | Format::Jpeg) => Err(Error::file(
+            path,
+            format!(
+                "is a {format:?}, whose 8-bit values are neither linear nor unclipped; expected linear values as \
+                 OpenEXR, Radiance HDR or float TIFF: merge the bracketed exposures, or convert with a known curve"
+            ),
+        )),
+    }
+}
+
+/// One linear channel: the only one, Y, or R of an OpenEXR; R of a Radiance HDR or float TIFF.
+pub fn read_gray(path: impl AsRef<Path>) -> Result<Gray> {
+    let path = path.as_ref();
+    match format_of(path)? {
+        Format::OpenExr => exr::read_gray(path),
+        _ => Ok(read_rgb(path)?.map(|rgb| rgb[0])),
+    }
+}
+
+/// Ids: PNG in grey or palette (the palette's index is the id), up to 16 bits; or the one channel of an OpenEXR.
+pub fn read_labels(path: impl AsRef<Path>) -> Result<Labels> {
+    let path = path.as_ref();
+    read_size(path)?;
+    match format_of(path)? {
+        Format::Png => png::read_indices(path),
+        Format::OpenExr => {
+            let ids = exr::read_gray(path)?;
+            if let Some(i) = ids.data.iter().position(|v| !(*v >= 0.0 && *v <= 65535.0 && v.fract() == 0.0)) {
+                let (x, y) = (i % ids.width, i / ids.width);
+                return Err(Error::file(
+                    path,
+                    format!("pixel ({x}, {y}) is {}; expected an id: a whole number of 0 to 65535", ids.data[i]),
+                ));
+            }
+            Ok(ids.map(|v| *v as u16))
+        }
+        format => Err(Error::file(path, format!("is {format:?}; expected ids in a PNG (grey or palette) or OpenEXR"))),
+    }
+}
+
+/// True where any colour channel of a PNG, or the one channel of an OpenEXR, is not zero.
+pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
+    let path = path.as_ref();
+    read_size(path)?;
+    match format_of(path)? {
+        Format::Png => {
+            let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
+            let decoded =
+                ImageReader::with_format(file, ImageFormat::Png).decode().map_err(|e| cannot_read(path, e))?;
+            let rgb = decoded.into_rgb16();
+            let (width, height) = (rgb.width() as usize, rgb.height() as usize);
+            Raster::new(width, height, rgb.pixels().map(|p| p.0 != [0; 3]).collect())
+        }
+        Format::OpenExr => Ok(exr::read_gray(path)?.map(|v| *v != 0.0)),
+        format => Err(Error::file(path, format!("is {format:?}; expected a mask as PNG or OpenEXR (lossless)"))),
+    }
+}
+
+fn read_radiance_hdr(path: &Path) -> Result<Rgb> {
+    let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
+    let decoder = image::codecs::hdr::HdrDecoder::new(file).map_err(|e| cannot_read(path, e))?;
+    let exposure = decoder.metadata().exposure.unwrap_or(1.0);
+    if !(exposure > 0.0 && exposure.is_finite()) {
+        return Err(Error::file(path, format!("EXPOSURE is {exposure}; expected a positive number")));
+    }
+    let (width, height) = decoder.dimensions();
+    let decoded = DynamicImage::from_decoder(decoder).map_err(|e| cannot_read(path, e))?;
+    let data = decoded.into_rgb32f().pixels().map(|p| p.0.map(|v| v / exposure)).collect();
+    Raster::new(width as usize, height as usize, data)
+}
+
+fn read_float_tiff(path: &Path) -> Result<Rgb> {
+    let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
+    let decoded = ImageReader::with_format(file, ImageFormat::Tiff).decode().map_err(|e| cannot_read(path, e))?;
+    if !matches!(decoded, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
+        return Err(Error::file(
+            path,
+            format!("holds {:?} pixels; expected 32-bit float RGB, the only TIFF known to be linear", decoded.color()),
+        ));
+    }
+    let rgb = decoded.into_rgb32f();
+    Raster::new(rgb.width() as usize, rgb.height() as usize, rgb.pixels().map(|p| p.0).collect())
+}
+
+/// How many pixels [`sanitise_radiance`] changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sanitised {
+    /// Pixels with a channel that was NaN or infinite.
+    pub non_finite: usize,
+    /// Pixels with a channel below zero.
+    pub negative: usize,
+}
+
+impl Sanitised {
+    /// Nothing had to be changed.
+    pub fn is_clean(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl std::fmt::Display for Sanitised {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{} pixels were NaN or infinite and {} negative: those channels are taken as 0",
+            self.non_finite, self.negative
+        )
+    }
+}
+
+/// Sets channels that no radiance can have (NaN, infinite, negative) to 0, and counts the pixels.
+pub fn sanitise_radiance(image: &mut Rgb) -> Sanitised {
+    let mut found = Sanitised::default();
+    for pixel in &mut image.data {
+        found.non_finite += usize::from(pixel.iter().any(|v| !v.is_finite()));
+        found.negative += usize::from(pixel.iter().any(|v| v.is_finite() && *v < 0.0));
+        *pixel = pixel.map(|v| if v.is_finite() && v >= 0.0 { v } else { 0.0 });
+    }
+    found
+}
+
+/// The sRGB transfer function (IEC 61966-2-1): linear [0, 1] to encoded [0, 1]; values outside are clipped, NaN is 0.
+pub fn srgb_from_linear(v: f32) -> f32 {
+    let v = v.max(0.0).min(1.0);
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// Encodes linear RGB in [0, 1] as 8-bit sRGB.
+pub fn encode_srgb(linear: &Rgb) -> Raster<[u8; 3]> {
+    linear.map(|rgb| rgb.map(|v| (srgb_from_linear(v) * 255.0).round() as u8))
+}
+
+#[cfg(test)]
+mod tests;

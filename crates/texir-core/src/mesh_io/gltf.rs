@@ -1,0 +1,118 @@
+//! glTF and GLB geometry: the default scene's nodes, transformed to world space. Materials and images are left alone.
+
+use std::path::Path;
+
+use glam::{Mat4, Vec2, Vec3};
+use gltf::accessor::{DataType, Dimensions};
+use gltf::buffer::Data;
+use gltf::mesh::Mode;
+use gltf::{Accessor, Gltf, Primitive, Semantic};
+
+use super::{RawMesh, cannot_read};
+use crate::error::{Error, Result};
+
+/// The shortest possible GLB header; the parser takes this much for granted.
+const GLB_HEADER_BYTES: u32 = 12;
+
+pub(super) fn read(path: &Path) -> Result<RawMesh> {
+    let bytes = std::fs::read(path).map_err(|e| cannot_read(path, e))?;
+    if let [b'g', b'l', b'T', b'F', _, _, _, _, a, b, c, d, ..] = bytes[..]
+        && u32::from_le_bytes([a, b, c, d]) < GLB_HEADER_BYTES
+    {
+        return Err(Error::file(path, "says that it is shorter than a GLB's header; is it damaged?"));
+    }
+    let Gltf { document, blob } = Gltf::from_slice(&bytes).map_err(|e| cannot_read(path, e))?;
+    let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| cannot_read(path, e))?;
+    let scene = document
+        .default_scene()
+        .or_else(|| document.scenes().next())
+        .ok_or_else(|| Error::file(path, "has no scene; expected one with a mesh"))?;
+
+    let mut raw = RawMesh::default();
+    let mut visited = vec![false; document.nodes().len()];
+    let mut stack: Vec<_> = scene.nodes().map(|n| (n, Mat4::IDENTITY)).collect();
+    stack.reverse();
+    while let Some((node, world_from_parent)) = stack.pop() {
+        if std::mem::replace(&mut visited[node.index()], true) {
+            return Err(Error::file(path, format!("node {} is reached twice; expected a tree", node.index())));
+        }
+        let world_from_node = world_from_parent * Mat4::from_cols_array_2d(&node.transform().matrix());
+        for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
+            let place = format!("primitive {} of node {}", primitive.index(), node.index());
+            append(path, &place, &mut raw, &primitive, &buffers, world_from_node)?;
+        }
+        let children: Vec<_> = node.children().map(|c| (c, world_from_node)).collect();
+        stack.extend(children.into_iter().rev());
+    }
+    Ok(raw)
+}
+
+fn append(
+    path: &Path,
+    place: &str,
+    raw: &mut RawMesh,
+    primitive: &Primitive,
+    buffers: &[Data],
+    world_from_node: Mat4,
+) -> Result<()> {
+    match primitive.mode() {
+        Mode::Triangles => {}
+        mode @ (Mode::TriangleStrip | Mode::TriangleFan) => {
+            return Err(Error::file(path, format!("{place} is a {mode:?}; expected a list of triangles")));
+        }
+        mode => {
+            raw.warnings.push(format!("{}: {place} is {mode:?}, no surface, and is left out", path.display()));
+            return Ok(());
+        }
+    }
+    check_accessors(path, place, primitive)?;
+    let reader = primitive.reader(|buffer| buffers.get(buffer.index()).map(|data| data.0.as_slice()));
+    let out_of_buffer = |what: &str| Error::file(path, format!("{place}: {what} reaches beyond its buffer"));
+
+    let base = raw.positions.len() as u32;
+    let positions = reader.read_positions().ok_or_else(|| out_of_buffer("POSITION"))?;
+    raw.positions.extend(positions.map(|p| world_from_node.transform_point3(p.into())));
+    let count = raw.positions.len() - base as usize;
+
+    let normal_from_node = world_from_node.inverse().transpose();
+    let normals = reader.read_normals().map(|n| n.map(|n| Some(normal_from_node.transform_vector3(Vec3::from(n)))));
+    raw.normals.extend(normals.into_iter().flatten().chain(std::iter::repeat(None)).take(count));
+    let uvs = reader.read_tex_coords(0).map(|uvs| uvs.into_f32().map(|uv| Some(Vec2::from(uv))));
+    raw.uvs.extend(uvs.into_iter().flatten().chain(std::iter::repeat(None)).take(count));
+
+    let indices: Vec<u32> = match primitive.indices() {
+        Some(_) => reader.read_indices().ok_or_else(|| out_of_buffer("indices"))?.into_u32().collect(),
+        None => (0..count as u32).collect(),
+    };
+    if let Some(index) = indices.iter().find(|i| **i as usize >= count) {
+        return Err(Error::file(path, format!("{place} uses vertex {index}; expected indices below {count}")));
+    }
+    // A mirroring transform turns the winding around.
+    let order = if world_from_node.determinant() < 0.0 { [0, 2, 1] } else { [0, 1, 2] };
+    raw.triangles.extend(indices.chunks_exact(3).map(|t| order.map(|corner| base + t[corner])));
+    Ok(())
+}
+
+/// The component types that the specification allows: the accessor reader relies on them.
+fn check_accessors(path: &Path, place: &str, primitive: &Primitive) -> Result<()> {
+    use DataType::{F32, U8, U16, U32};
+    let check = |name: &str, accessor: Option<Accessor>, shape: Dimensions, types: &[DataType]| match accessor {
+        Some(a) if a.dimensions() != shape || !types.contains(&a.data_type()) || a.count() == 0 => Err(Error::file(
+            path,
+            format!(
+                "{place}: {name} is {} × {:?} of {:?}; expected at least one {shape:?} of {types:?}",
+                a.count(),
+                a.dimensions(),
+                a.data_type()
+            ),
+        )),
+        _ => Ok(()),
+    };
+    if primitive.get(&Semantic::Positions).is_none() {
+        return Err(Error::file(path, format!("{place} has no POSITION; expected one per vertex")));
+    }
+    check("POSITION", primitive.get(&Semantic::Positions), Dimensions::Vec3, &[F32])?;
+    check("NORMAL", primitive.get(&Semantic::Normals), Dimensions::Vec3, &[F32])?;
+    check("TEXCOORD_0", primitive.get(&Semantic::TexCoords(0)), Dimensions::Vec2, &[F32, U8, U16])?;
+    check("indices", primitive.indices(), Dimensions::Scalar, &[U8, U16, U32])
+}

@@ -1,0 +1,80 @@
+//! Wavefront OBJ. Its v points up: flipped here, on the way in and on the way out.
+
+use std::fs::File;
+use std::io::{BufReader, Write};
+use std::path::Path;
+
+use glam::{Vec2, Vec3};
+use tobj::{LoadError, LoadOptions};
+
+use super::{RawMesh, cannot_read};
+use crate::atomic_file::write_atomic;
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+
+/// All objects and material groups as one mesh; one vertex per distinct (position, uv, normal) triple of a group.
+pub(super) fn read(path: &Path) -> Result<RawMesh> {
+    let mut file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
+    let options = LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
+    // Materials are what texir recovers: the library that the file names is not looked for.
+    let (models, _) = tobj::load_obj_buf(&mut file, &options, |_| Ok(Default::default()))
+        .map_err(|e| Error::file(path, format!("is no valid OBJ: {}", explain(&e))))?;
+    let mut raw = RawMesh::default();
+    for model in models {
+        let (mesh, base) = (model.mesh, raw.positions.len() as u32);
+        let vertices = mesh.positions.len() / 3;
+        raw.positions.extend(mesh.positions.chunks_exact(3).map(Vec3::from_slice));
+        if mesh.texcoords.len() == 2 * vertices {
+            raw.uvs.extend(mesh.texcoords.chunks_exact(2).map(|uv| Some(Vec2::new(uv[0], 1.0 - uv[1]))));
+        } else if mesh.texcoords.is_empty() {
+            raw.uvs.extend(std::iter::repeat_n(None, vertices));
+        } else {
+            return Err(Error::file(
+                path,
+                format!("object {:?} has faces with and without texture coordinates; expected them on all", model.name),
+            ));
+        }
+        if mesh.normals.len() == 3 * vertices {
+            raw.normals.extend(mesh.normals.chunks_exact(3).map(|n| Some(Vec3::from_slice(n))));
+        } else {
+            raw.normals.extend(std::iter::repeat_n(None, vertices));
+        }
+        raw.triangles.extend(mesh.indices.chunks_exact(3).map(|t| [base + t[0], base + t[1], base + t[2]]));
+    }
+    Ok(raw)
+}
+
+fn explain(e: &LoadError) -> &'static str {
+    match e {
+        LoadError::PositionParseError => "a `v` line is not three numbers",
+        LoadError::NormalParseError => "a `vn` line is not three numbers",
+        LoadError::TexcoordParseError => "a `vt` line is not two numbers",
+        LoadError::FaceParseError => "an `f` line is not a list of v, v/vt, v//vn or v/vt/vn",
+        LoadError::FaceVertexOutOfBounds => "an `f` line names a `v` that the file does not have; is it cut off?",
+        LoadError::FaceTexCoordOutOfBounds => "an `f` line names a `vt` that the file does not have; is it cut off?",
+        LoadError::FaceNormalOutOfBounds => "an `f` line names a `vn` that the file does not have; is it cut off?",
+        LoadError::InvalidPolygon => "an `f` line has too few vertices",
+        LoadError::ReadError => "a line cannot be read as text",
+        _ => "a line cannot be understood",
+    }
+}
+
+/// Writes positions, atlas coordinates and normals as OBJ, one `v`, `vt` and `vn` per vertex.
+pub fn write(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
+    write_atomic(path, |sink| -> std::io::Result<()> {
+        for p in &mesh.positions {
+            writeln!(sink, "v {} {} {}", p.x, p.y, p.z)?;
+        }
+        for uv in &mesh.uvs {
+            writeln!(sink, "vt {} {}", uv.x, 1.0 - uv.y)?;
+        }
+        for n in &mesh.normals {
+            writeln!(sink, "vn {} {} {}", n.x, n.y, n.z)?;
+        }
+        for t in &mesh.triangles {
+            let [a, b, c] = t.map(|i| i + 1);
+            writeln!(sink, "f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}")?;
+        }
+        Ok(())
+    })
+}

@@ -1,0 +1,286 @@
+//! Every format against the same two-triangle square, and every kind of bad mesh.
+
+use std::path::PathBuf;
+
+use tempfile::TempDir;
+
+use super::*;
+
+/// The unit square in z = 2, its atlas over [0, ½]², v down.
+fn square() -> Mesh {
+    let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+    Mesh {
+        positions: corners.map(|(x, y)| Vec3::new(x, y, 2.0)).to_vec(),
+        normals: vec![Vec3::Z; 4],
+        uvs: corners.map(|(x, y)| Vec2::new(x, 1.0 - y) / 2.0).to_vec(),
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    }
+}
+
+fn file(folder: &TempDir, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+    let path = folder.path().join(name);
+    std::fs::write(&path, content).unwrap();
+    path
+}
+
+fn read_text(name: &str, content: impl AsRef<[u8]>) -> Result<MeshFile> {
+    let folder = tempfile::tempdir().unwrap();
+    read_mesh(file(&folder, name, content))
+}
+
+fn message(result: Result<MeshFile>) -> String {
+    result.unwrap_err().to_string()
+}
+
+/// The corners of all triangles: what must agree however vertices are shared.
+fn soup(mesh: &Mesh) -> Vec<[[f32; 8]; 3]> {
+    let vertex = |i: u32| {
+        let (p, n, uv) = (mesh.positions[i as usize], mesh.normals[i as usize], mesh.uvs[i as usize]);
+        [p.x, p.y, p.z, n.x, n.y, n.z, uv.x, uv.y]
+    };
+    mesh.triangles.iter().map(|t| t.map(vertex)).collect()
+}
+
+const OBJ: &str = "
+v 0 0 2\nv 1 0 2\nv 1 1 2\nv 0 1 2
+vt 0 0.5\nvt 0.5 0.5\nvt 0.5 1\nvt 0 1
+vn 0 0 1
+";
+
+#[test]
+fn obj_polygons_objects_and_materials_become_one_mesh_with_v_down() {
+    let MeshFile { mesh, warnings } = read_text("a.obj", format!("{OBJ}f 1/1/1 2/2/1 3/3/1 4/4/1\n")).unwrap();
+    assert_eq!(soup(&mesh), soup(&square()));
+    assert_eq!(mesh.positions.len(), 4, "corners with equal indices are one vertex");
+    assert!(warnings.is_empty(), "{warnings:?}");
+
+    let split =
+        format!("mtllib none.mtl\n{OBJ}o a\nusemtl x\nf 1/1/1 2/2/1 3/3/1\no b\nusemtl y\nf 1/1/1 3/3/1 4/4/1\n");
+    assert_eq!(soup(&read_text("a.obj", split).unwrap().mesh), soup(&square()));
+}
+
+#[test]
+fn obj_round_trip() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.obj");
+    obj::write(&path, &square()).unwrap();
+    assert_eq!(read_mesh(&path).unwrap().mesh, square());
+}
+
+#[test]
+fn missing_normals_are_flat_and_said_so() {
+    let MeshFile { mesh, warnings } = read_text("a.obj", format!("{OBJ}f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")).unwrap();
+    assert_eq!(soup(&mesh), soup(&square()));
+    assert!(warnings[0].contains("a.obj") && warnings[0].contains("2 of 2"), "{warnings:?}");
+    // One object with normals keeps them; the other is flat.
+    let half = format!("{OBJ}vn 1 0 0\no a\nf 1/1/2 2/2/2 3/3/2\no b\nf 1/1 3/3 4/4\n");
+    let MeshFile { mesh, warnings } = read_text("a.obj", half).unwrap();
+    assert_eq!(mesh.corner_normals(0), [Vec3::X; 3]);
+    assert_eq!(mesh.corner_normals(1), [Vec3::Z; 3]);
+    assert!(warnings[0].contains("1 of 2"), "{warnings:?}");
+}
+
+const PLY_VERTICES: &str = "0 0 2 0 0 1 0 0.5\n1 0 2 0 0 1 0.5 0.5\n1 1 2 0 0 1 0.5 1\n0 1 2 0 0 1 0 1\n";
+
+fn ply_header(format: &str, s: &str, t: &str) -> String {
+    let floats = ["x", "y", "z", "nx", "ny", "nz", s, t].map(|p| format!("property float {p}\n")).concat();
+    format!(
+        "ply\nformat {format} 1.0\ncomment made here\nelement vertex 4\n{floats}element edge 1\nproperty int a\n\
+         element face 1\nproperty uchar flags\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+}
+
+#[test]
+fn ply_ascii_and_binary_with_every_name_of_texture_coordinates() {
+    for (s, t) in [("s", "t"), ("u", "v"), ("texture_u", "texture_v")] {
+        // Without a final newline, as some programs write it.
+        let text = format!("{}{PLY_VERTICES}5\n0 4 0 1 2 3", ply_header("ascii", s, t));
+        assert_eq!(soup(&read_text("a.ply", text).unwrap().mesh), soup(&square()), "{s} {t}");
+    }
+    let numbers = PLY_VERTICES.split_whitespace().map(|n| n.parse::<f32>().unwrap());
+    for (format, little) in [("binary_little_endian", true), ("binary_big_endian", false)] {
+        let int = |i: i32| if little { i.to_le_bytes() } else { i.to_be_bytes() };
+        let mut bytes = ply_header(format, "s", "t").into_bytes();
+        bytes.extend(numbers.clone().flat_map(|n| if little { n.to_le_bytes() } else { n.to_be_bytes() }));
+        bytes.extend(int(5));
+        bytes.extend([0, 4]);
+        bytes.extend([0, 1, 2, 3].into_iter().flat_map(int));
+        assert_eq!(soup(&read_text("a.ply", &bytes).unwrap().mesh), soup(&square()), "{format}");
+        bytes.truncate(bytes.len() - 3);
+        let error = message(read_text("cut.ply", bytes));
+        assert!(error.contains("cut.ply") && error.contains("face"), "{error}");
+    }
+}
+
+#[test]
+fn ply_texture_coordinates_per_face_corner() {
+    let text = |uvs: &str| {
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n\
+             element face 1\nproperty list uchar uint vertex_index\nproperty list uchar float texcoord\nend_header\n\
+             0 0 2\n1 0 2\n1 1 2\n0 1 2\n4 0 1 2 3 {uvs}\n"
+        )
+    };
+    let mesh = read_text("a.ply", text("8 0 0.5 0.5 0.5 0.5 1 0 1")).unwrap().mesh;
+    assert_eq!(soup(&mesh), soup(&square()), "and flat normals");
+    let error = message(read_text("a.ply", text("6 0 0.5 0.5 0.5 0.5 1")));
+    assert!(error.contains("a.ply") && error.contains("face 0 has 6") && error.contains("expected 8"), "{error}");
+}
+
+/// The square as a glTF with its buffer beside it: two primitives and a point, under two nodes, the inner one mirrored
+/// when asked. `tamper` may spoil the document.
+fn read_gltf(mirrored: bool, tamper: impl FnOnce(&mut serde_json::Value)) -> Result<MeshFile> {
+    let folder = tempfile::tempdir().unwrap();
+    let (mesh, x) = (square(), if mirrored { -1.0 } else { 1.0 });
+    let floats = mesh.positions.iter().flat_map(|p| [p.x * x, p.y, p.z - 1.0]);
+    let floats = floats.chain(mesh.normals.iter().flat_map(|n| n.to_array()));
+    let floats = floats.chain(mesh.uvs.iter().flat_map(|uv| uv.to_array()));
+    let order = if mirrored { [0, 2, 1] } else { [0, 1, 2] };
+    let indices = mesh.triangles.iter().flat_map(|t| order.map(|corner| t[corner] as u16));
+    let mut bytes: Vec<u8> = floats.flat_map(f32::to_le_bytes).collect();
+    bytes.extend(indices.flat_map(u16::to_le_bytes));
+    file(&folder, "a.bin", &bytes);
+    let attributes = serde_json::json!({"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2});
+    let accessor = |offset: usize, component: u32, count: u32, kind: &str| serde_json::json!({"bufferView": 0, "byteOffset": offset, "componentType": component, "count": count, "type": kind});
+    let mut positions = accessor(0, 5126, 4, "VEC3");
+    positions["min"] = serde_json::json!([-1, 0, 1]);
+    positions["max"] = serde_json::json!([1, 1, 1]);
+    let mut document = serde_json::json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"translation": [0.0, 0.0, 1.0], "children": [1]}, {"mesh": 0, "scale": [x, 1.0, 1.0]}],
+        "meshes": [{"primitives": [
+            {"attributes": attributes, "indices": 3},
+            {"attributes": attributes, "indices": 4},
+            {"attributes": {"POSITION": 0}, "mode": 0}
+        ]}],
+        "buffers": [{"byteLength": bytes.len(), "uri": "a.bin"}],
+        "bufferViews": [{"buffer": 0, "byteLength": bytes.len()}],
+        "accessors": [
+            positions,
+            accessor(48, 5126, 4, "VEC3"),
+            accessor(96, 5126, 4, "VEC2"),
+            accessor(128, 5123, 3, "SCALAR"),
+            accessor(134, 5123, 3, "SCALAR")
+        ]
+    });
+    tamper(&mut document);
+    read_mesh(file(&folder, "a.gltf", document.to_string()))
+}
+
+#[test]
+fn gltf_primitives_are_joined_under_their_nodes_transforms() {
+    for mirrored in [false, true] {
+        let MeshFile { mesh, warnings } = read_gltf(mirrored, |_| {}).unwrap();
+        // Per triangle the corners may start elsewhere: winding and values count.
+        for t in 0..2 {
+            assert_eq!(mesh.face_normal(t), Vec3::Z, "mirrored {mirrored}");
+            let sorted = |mesh: &Mesh| {
+                let mut corners = soup(mesh)[t as usize];
+                corners.sort_by(|a, b| a.partial_cmp(b).unwrap());
+                corners
+            };
+            assert_eq!(sorted(&mesh), sorted(&square()), "mirrored {mirrored}");
+        }
+        assert!(warnings[0].contains("Points"), "{warnings:?}");
+    }
+}
+
+#[test]
+fn damaged_gltf_is_an_error_that_says_where() {
+    let spoil = |pointer: &'static str, value: serde_json::Value| {
+        message(read_gltf(false, |document| *document.pointer_mut(pointer).unwrap() = value))
+    };
+    for (pointer, value, expected) in [
+        ("/accessors/0/count", 4000.into(), "POSITION reaches beyond"),
+        ("/accessors/0/componentType", 5123.into(), "POSITION is 4 × Vec3 of U16"),
+        ("/accessors/3/count", 4000.into(), "indices reaches beyond"),
+        ("/accessors/3/byteOffset", 8.into(), "uses vertex"),
+        ("/nodes/1", serde_json::json!({"children": [0]}), "reached twice"),
+        ("/buffers/0/uri", "none.bin".into(), "cannot be read"),
+        ("/meshes/0/primitives/0/mode", 5.into(), "TriangleStrip"),
+    ] {
+        let error = spoil(pointer, value);
+        assert!(error.contains("a.gltf") && error.contains(expected), "{pointer}: {error}");
+    }
+    let error = message(read_text("a.glb", b"glTF\x02\0\0\0\x04\0\0\0"));
+    assert!(error.contains("a.glb") && error.contains("damaged"), "{error}");
+}
+
+#[test]
+fn a_mesh_without_texture_coordinates_is_told_to_unwrap() {
+    let ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+               element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    let without_uvs = |document: &mut serde_json::Value| {
+        for primitive in ["0", "1"] {
+            let attributes = document.pointer_mut(&format!("/meshes/0/primitives/{primitive}/attributes")).unwrap();
+            attributes.as_object_mut().unwrap().remove("TEXCOORD_0");
+        }
+    };
+    for result in
+        [read_text("a.obj", format!("{OBJ}f 1//1 2//1 3//1\n")), read_text("a.ply", ply), read_gltf(false, without_uvs)]
+    {
+        let error = message(result);
+        assert!(error.contains("no texture coordinates") && error.contains("atlas"), "{error}");
+    }
+    let error = message(read_text("a.obj", format!("{OBJ}f 1/1/1 2/2/1 3/3/1\nf 1//1 3//1 4//1\n")));
+    assert!(error.contains("a.obj") && error.contains("with and without"), "{error}");
+}
+
+#[test]
+fn degenerate_triangles_are_dropped_and_counted() {
+    let text =
+        format!("{OBJ}v 2 0 2\nf 1/1/1 2/2/1 3/3/1\nf 1/1/1 1/1/1 3/3/1\nf 1/1/1 2/2/1 5/3/1\nf 1/1/1 3/3/1 4/4/1\n");
+    let MeshFile { mesh, warnings } = read_text("a.obj", text).unwrap();
+    assert_eq!(soup(&mesh), soup(&square()));
+    assert!(warnings[0].contains("a.obj") && warnings[0].contains("2 of 4"), "{warnings:?}");
+    let error = message(read_text("a.obj", format!("{OBJ}f 1/1/1 1/1/1 3/3/1\n")));
+    assert!(error.contains("all 1 triangles have no area"), "{error}");
+}
+
+#[test]
+fn unusable_numbers_and_indices_are_errors_with_their_place() {
+    for (from, to, expected) in [
+        ("v 1 0 2", "v nan 0 2", "vertex 1 is at [NaN, 0, 2]"),
+        ("vt 0.5 0.5", "vt inf 0.5", "vertex 1 has texture coordinates"),
+        ("vn 0 0 1", "vn 0 0 x", "a `vn` line"),
+        ("f 1/1/1", "f 9/1/1", "names a `v`"),
+        ("f 1/1/1", "f 1/9/1", "names a `vt`"),
+    ] {
+        let error = message(read_text("a.obj", format!("{OBJ}f 1/1/1 2/2/1 3/3/1\n").replacen(from, to, 1)));
+        assert!(error.contains("a.obj") && error.contains(expected), "{to}: {error}");
+    }
+    let text = format!("{}{PLY_VERTICES}5\n0 3 0 1 4\n", ply_header("ascii", "s", "t"));
+    let error = message(read_text("a.ply", text));
+    assert!(error.contains("a.ply") && error.contains("[0, 1, 4]") && error.contains("below 4"), "{error}");
+    for (name, content) in [("a.obj", ""), ("a.obj", "v 0 0 0\n"), ("a.ply", "ply\nformat ascii 1.0\nend_header\n")] {
+        let error = message(read_text(name, content));
+        assert!(error.contains(name) && error.contains("no triangles"), "{error}");
+    }
+    for name in ["a.stl", "a.ply", "a.glb"] {
+        assert!(message(read_text(name, "junk")).contains(name));
+        assert!(message(read_mesh(Path::new("none").join(name))).contains(name));
+    }
+}
+
+#[test]
+fn atlas_report_measures_cover_overlap_and_overhang() {
+    let mesh = square();
+    let report = atlas_report(&mesh, 64);
+    assert_eq!(
+        report,
+        AtlasReport { covered_fraction: 0.25, overlapping_fraction: 0.0, outside_unit_square_triangles: 0 }
+    );
+
+    // A third triangle over half of the second.
+    let mut overlapping = mesh.clone();
+    overlapping.positions.extend([Vec3::ZERO, Vec3::X, Vec3::Y]);
+    overlapping.normals.extend([Vec3::Z; 3]);
+    overlapping.uvs.extend([mesh.uvs[0], mesh.uvs[2], (mesh.uvs[0] + mesh.uvs[3]) / 2.0]);
+    overlapping.triangles.push([4, 5, 6]);
+    let report = atlas_report(&overlapping, 256);
+    assert!((report.overlapping_fraction - 0.25).abs() < 0.01, "{report:?}");
+
+    let mut shifted = mesh;
+    shifted.uvs[3].y -= 0.1;
+    assert_eq!(atlas_report(&shifted, 64).outside_unit_square_triangles, 1);
+}
