@@ -144,6 +144,13 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
     return best;
 }
 
+// Normal of a primitive, on the side from which its corners run counter-clockwise; its length is twice the area.
+fn primitive_normal(primitive: u32) -> vec3f {
+    let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
+    let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
+    return cross(e1, e2);
+}
+
 // Index in the mesh of a primitive of the hierarchy.
 fn mesh_triangle(primitive: u32) -> u32 {
     return triangle_word(primitive * 3u).w;

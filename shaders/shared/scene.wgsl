@@ -8,9 +8,8 @@
 // Outgoing radiance in the atlas, linear RGB.
 @group(0) @binding(3) var tbl: texture_2d<f32>;
 
-// Radiance arriving at `origin` from the unit `direction`: nearest texel at the hit, 0 on a miss.
-fn incoming_radiance(origin: vec3f, direction: vec3f) -> vec3f {
-    let hit = closest_hit(origin, direction, T_FAR);
+// Outgoing radiance at a hit: the nearest texel; 0 for a miss.
+fn radiance_at(hit: Intersection) -> vec3f {
     let found = hit.primitive != MISS;
     let primitive = select(0u, hit.primitive, found);
     let ab = triangle_uvs[primitive * 2u];
@@ -20,4 +19,9 @@ fn incoming_radiance(origin: vec3f, direction: vec3f) -> vec3f {
     let texel = min(vec2u(max(uv, vec2f(0.0)) * vec2f(size)), size - 1u);
     let radiance = textureLoad(tbl, texel, 0).rgb;
     return select(vec3f(0.0), radiance, found);
+}
+
+// Radiance arriving at `origin` from the unit `direction`.
+fn incoming_radiance(origin: vec3f, direction: vec3f) -> vec3f {
+    return radiance_at(closest_hit(origin, direction, T_FAR));
 }

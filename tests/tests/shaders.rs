@@ -24,7 +24,8 @@ fn every_entry_point_composes_and_validates() {
     entries.sort();
     entries.dedup();
     let expected = [
-        "irradiance",
+        "gather_cosine",
+        "gather_lights",
         "lookup",
         "lookup_vjp",
         "mean_target",

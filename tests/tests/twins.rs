@@ -2,12 +2,14 @@
 
 use glam::Vec3;
 use texir_core::backend::{
-    Backend, GroupTarget, Groups, Material, MaterialGrad, RoughnessGradient, Sampling, ShadePoint, Shaded,
+    Backend, Gather, Gathered, GroupTarget, Groups, Material, MaterialGrad, RoughnessGradient, Sampling, ShadePoint,
+    Shaded,
 };
 use texir_core::camera::Camera;
 use texir_core::cpu::shade::{MaterialIn, ShadedIn};
 use texir_core::cpu::trace::{Exhaustive, Lighting, TraceHit};
 use texir_core::cpu::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
+use texir_core::lights::Lights;
 use texir_core::progress::Silent;
 use texir_core::real::V3;
 use texir_core::rng::{hash, hash2, sobol2};
@@ -76,7 +78,7 @@ fn rays_that_leave_the_scene_miss() {
     builder.quad([Vec3::ZERO, Vec3::X, Vec3::X + Vec3::Y, Vec3::Y], [Vec3::Z; 4]);
     let scene = Scene::new(builder.finish()).unwrap();
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    backend.set_tbl(&scenes::smooth_light(32)).unwrap();
+    backend.set_tbl(&scenes::smooth_light(32), &Lights::none(&scene.mesh)).unwrap();
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera).unwrap();
         let exact = Exhaustive(&scene.mesh);
@@ -86,8 +88,9 @@ fn rays_that_leave_the_scene_miss() {
         assert!(hits.iter().any(|h| *h == Hit::MISS));
     }
     let up = SurfacePoint { position: [0.5, 0.5, 0.1], triangle: 0, normal: [0.0, 0.0, 1.0], pad: 0.0 };
-    let sampling = Sampling { samples: 32, seed: 1 };
-    assert_eq!(backend.irradiance(&[up], sampling, &Silent).unwrap(), [[0.0; 3]]);
+    let gather = Gather { cosine: 32, light: 0, seed: 1 };
+    let nothing = Gathered { irradiance: [0.0; 3], back_faces: 0.0 };
+    assert_eq!(backend.irradiance(&[up], gather, &Silent).unwrap(), [nothing]);
 }
 
 #[test]
@@ -134,20 +137,25 @@ fn irradiance_gather() {
     let scene = Scene::new(mesh).unwrap();
     let light = scenes::smooth_light(192);
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    backend.set_tbl(&light).unwrap();
+    let lights = scenes::lights(&mut backend, &scene, &light);
+    assert!(lights.slots.len() > 10);
+    backend.set_tbl(&light, &lights).unwrap();
     let points = points(&scene, 150);
     let exact = Exhaustive(&scene.mesh);
     let lighting = Lighting { tracer: &exact, radiance: &light };
-    for samples in [5, 64, 100] {
-        let sampling = Sampling { samples, seed: 11 };
-        let got = lanes3(&backend.irradiance(&points, sampling, &Silent).unwrap());
+    let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
+    for (cosine, light) in [(5, 0), (64, 0), (64, 64), (33, 100)] {
+        let gather = Gather { cosine, light, seed: 11 };
+        let got: Vec<f64> = backend.irradiance(&points, gather, &Silent).unwrap().iter().flat_map(flat).collect();
         let expected: Vec<f64> = (points.iter().enumerate())
-            .flat_map(|(i, p)| irradiance::irradiance::<f64, _>(&lighting, p, i as u32, sampling).0)
+            .map(|(i, p)| irradiance::irradiance::<f64, _>(&lighting, &lights, p, i as u32, gather))
+            .flat_map(|g| flat(&g))
             .collect();
-        TRACED.check("E", &got, &expected);
+        TRACED.check("E and back faces", &got, &expected);
         // Negative control: another seed draws other samples.
-        let other = backend.irradiance(&points, Sampling { samples, seed: 12 }, &Silent).unwrap();
-        assert!(TRACED.failures(&lanes3(&other), &expected).len() > points.len());
+        let other = backend.irradiance(&points, Gather { seed: 12, ..gather }, &Silent).unwrap();
+        let other: Vec<f64> = other.iter().flat_map(flat).collect();
+        assert!(TRACED.failures(&other, &expected).len() > points.len());
     }
 }
 
@@ -207,7 +215,7 @@ fn shading_and_its_jacobian() {
     let scene = room();
     let light = scenes::smooth_light(192);
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    backend.set_tbl(&light).unwrap();
+    backend.set_tbl(&light, &Lights::none(&scene.mesh)).unwrap();
     let (points, materials) = shading(&scene, &mut backend, &scenes::cameras()[0], 17);
     let exact = Exhaustive(&scene.mesh);
     let lighting = Lighting { tracer: &exact, radiance: &light };

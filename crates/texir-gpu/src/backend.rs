@@ -1,11 +1,12 @@
 //! [`Backend`] on a wgpu device.
 
 use texir_core::backend::{
-    Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient, Sampling, ShadePoint,
-    Shaded,
+    Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
+    Sampling, ShadePoint, Shaded,
 };
 use texir_core::camera::Camera;
 use texir_core::error::{Error, Result};
+use texir_core::lights::Lights;
 use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
@@ -15,14 +16,14 @@ use texir_core::texture::{Footprints, Pyramid};
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
 use crate::pass::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
-use crate::scene::{Geometry, Hierarchy, tbl_texture};
+use crate::scene::{Geometry, Hierarchy, Lighting};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend<'a> {
     scene: &'a Scene,
     context: Context,
     geometry: Geometry,
-    tbl: Option<wgpu::TextureView>,
+    lighting: Option<Lighting>,
     shape: Option<GatherShape>,
     cache: lookup::LookupCache,
 }
@@ -37,7 +38,7 @@ impl<'a> GpuBackend<'a> {
     pub fn with_hierarchy(gpu: &Gpu, scene: &'a Scene, hierarchy: Hierarchy) -> Result<Self> {
         let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);
-        Ok(Self { scene, context, geometry, tbl: None, shape: None, cache: Default::default() })
+        Ok(Self { scene, context, geometry, lighting: None, shape: None, cache: Default::default() })
     }
 
     /// Sets how samples are dealt to threads; `None` chooses by their number. Results differ only by rounding.
@@ -46,16 +47,16 @@ impl<'a> GpuBackend<'a> {
         Ok(())
     }
 
-    fn shape_for(&self, sampling: Sampling) -> Result<GatherShape> {
-        if sampling.samples == 0 {
+    fn shape_for(&self, samples: u32) -> Result<GatherShape> {
+        if samples == 0 {
             return Err(Error::invalid("the number of samples is 0: at least one is needed"));
         }
-        Ok(self.shape.unwrap_or(GatherShape::for_samples(sampling.samples)))
+        Ok(self.shape.unwrap_or(GatherShape::for_samples(samples)))
     }
 }
 
-fn tbl_of(tbl: &Option<wgpu::TextureView>) -> Result<&wgpu::TextureView> {
-    tbl.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))
+fn lighting_of(lighting: &Option<Lighting>) -> Result<&Lighting> {
+    lighting.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))
 }
 
 /// Checks that a slice has as many items as expected.
@@ -79,9 +80,10 @@ impl Backend for GpuBackend<'_> {
         self.context.gpu.describe()
     }
 
-    fn set_tbl(&mut self, radiance: &Rgb) -> Result<()> {
+    fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         let gpu = &self.context.gpu;
-        self.tbl = Some(gpu.guarded("uploading the lighting", || tbl_texture(gpu, radiance))?);
+        let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, self.scene, radiance, lights))?;
+        self.lighting = Some(lighting);
         Ok(())
     }
 
@@ -103,14 +105,14 @@ impl Backend for GpuBackend<'_> {
     fn irradiance(
         &mut self,
         points: &[SurfacePoint],
-        sampling: Sampling,
+        gather: Gather,
         progress: &dyn Progress,
-    ) -> Result<Vec<[f32; 3]>> {
+    ) -> Result<Vec<Gathered>> {
         countable(points.len())?;
-        let shape = self.shape_for(sampling)?;
-        let light = (&self.geometry, tbl_of(&self.tbl)?);
+        let shape = self.shape_for(gather.cosine)?;
+        let light = (&self.geometry, lighting_of(&self.lighting)?);
         let gpu = self.context.gpu.clone();
-        gpu.guarded("irradiance", || irradiance::run(&mut self.context, light, points, sampling, shape, progress))
+        gpu.guarded("irradiance", || irradiance::run(&mut self.context, light, points, gather, shape, progress))
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
@@ -129,8 +131,8 @@ impl Backend for GpuBackend<'_> {
     ) -> Result<Vec<Shaded>> {
         countable(points.len())?;
         sized("materials to shade", materials.len(), points.len())?;
-        let shape = self.shape_for(sampling)?;
-        let light = (&self.geometry, tbl_of(&self.tbl)?);
+        let shape = self.shape_for(sampling.samples)?;
+        let light = (&self.geometry, lighting_of(&self.lighting)?);
         let (items, how) = ((points, materials), (sampling, gradient));
         let gpu = self.context.gpu.clone();
         gpu.guarded("shade", || shade::run(&mut self.context, light, items, how, shape, progress))

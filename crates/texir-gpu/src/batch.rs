@@ -5,13 +5,13 @@
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-use texir_core::backend::Sampling;
 use texir_core::error::{Error, Result};
 use texir_core::progress::Progress;
 
 use crate::buffer::{Pool, View, uniform};
 use crate::gpu::Gpu;
 use crate::kernel::{Kernel, Kernels, Spec};
+use crate::pass::WORKGROUP;
 use crate::scene::Hierarchy;
 use crate::wgsl::{RoughnessVariant, Variant};
 
@@ -45,6 +45,11 @@ impl GatherShape {
     pub const fn for_samples(samples: u32) -> Self {
         let lanes = if samples >= 64 { 64 } else { samples.next_power_of_two() };
         Self { lanes, rays: 32 }
+    }
+
+    /// Threads of a workgroup over threads of an item.
+    pub(crate) fn items_per_workgroup(self) -> usize {
+        WORKGROUP / self.lanes as usize
     }
 
     /// Checks the bounds of the fields.
@@ -134,28 +139,31 @@ impl Context {
         Ok(())
     }
 
-    /// Runs a pass whose threads share an item's samples.
-    pub fn gather(
+    /// Runs a pass whose threads share an item's samples: `samples` of each technique in turn.
+    pub fn gather<const TECHNIQUES: usize>(
         &mut self,
         items: usize,
-        sampling: Sampling,
+        samples: [u32; TECHNIQUES],
         shape: GatherShape,
         progress: &dyn Progress,
-        steps: &mut impl Gather,
+        steps: &mut impl Gathering,
     ) -> Result<()> {
         let span = shape.lanes * shape.rays;
+        let longest = samples.into_iter().max().unwrap_or(0).min(span);
         let mut first = 0;
         while first < items {
-            let end = items.min(first + self.batch(sampling.samples.min(span)));
-            let prepared = steps.upload(self, first..end)?;
-            for sample in (0..sampling.samples).step_by(span as usize) {
-                progress.check()?;
-                let samples = sample..sampling.samples.min(sample.saturating_add(span));
-                let rays = (end - first) as u64 * u64::from(samples.end - samples.start);
-                steps.dispatch(self, &prepared, first..end, samples)?;
-                progress.advance(rays);
+            let end = items.min(first + self.batch(longest));
+            let batch = steps.upload(self, first..end)?;
+            for (technique, samples) in samples.into_iter().enumerate() {
+                for sample in (0..samples).step_by(span as usize) {
+                    progress.check()?;
+                    let range = sample..samples.min(sample.saturating_add(span));
+                    let rays = (end - first) as u64 * range.len() as u64;
+                    steps.dispatch(self, &batch, technique, first..end, range)?;
+                    progress.advance(rays);
+                }
             }
-            steps.collect(self, prepared, end - first)?;
+            steps.collect(self, batch, end - first)?;
             first = end;
         }
         Ok(())
@@ -168,19 +176,20 @@ impl Context {
 }
 
 /// The steps of a pass that [`Context::gather`] runs.
-pub(crate) trait Gather {
+pub(crate) trait Gathering {
     /// What a batch holds on the device.
-    type Prepared;
+    type Batch;
     /// Uploads a range of items.
-    fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Self::Prepared>;
-    /// Adds a range of samples to a batch's sums, and finishes them with the last.
+    fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Self::Batch>;
+    /// Adds a range of a technique's samples to a batch's sums, and finishes them with the last.
     fn dispatch(
         &mut self,
         ctx: &mut Context,
-        batch: &Self::Prepared,
+        batch: &Self::Batch,
+        technique: usize,
         items: Range<usize>,
         samples: Range<u32>,
     ) -> Result<()>;
     /// Fetches the results of a batch of `count` items.
-    fn collect(&mut self, ctx: &mut Context, batch: Self::Prepared, count: usize) -> Result<()>;
+    fn collect(&mut self, ctx: &mut Context, batch: Self::Batch, count: usize) -> Result<()>;
 }

@@ -2,7 +2,7 @@
 
 use std::mem::offset_of;
 
-use texir_core::backend::{Material, MaterialGrad, Projected, ShadePoint, Shaded};
+use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, ShadePoint, Shaded};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
 
@@ -16,6 +16,7 @@ use crate::pass::radiance_loss::RadianceLossParams;
 use crate::pass::shade::ShadeParams;
 use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::texels::TexelsParams;
+use crate::scene::LightSlot;
 use crate::wgsl::{RoughnessVariant, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -56,12 +57,23 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
+        ("irradiance", "LightSlot", host!(LightSlot { primitive, alternative, keep })),
+        ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),
         ("group_loss", "GroupLossParams", host!(GroupLossParams { channels, quantile, jobs })),
         (
             "irradiance",
             "IrradianceParams",
-            host!(IrradianceParams { count, first_point, first_sample, end_sample, samples, seed }),
+            host!(IrradianceParams {
+                count,
+                first_point,
+                first_sample,
+                end_sample,
+                cosine_samples,
+                light_samples,
+                slots,
+                seed
+            }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),
         (

@@ -1,7 +1,9 @@
 //! The scene in device memory: the hierarchy, its triangles and the texture-based lighting.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec4;
 use texir_core::error::{Error, Result};
+use texir_core::lights::Lights;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
@@ -106,19 +108,72 @@ impl Geometry {
         [("bvh_nodes", self.nodes.binding()), ("bvh_triangles", self.triangles.binding())]
     }
 
-    /// What gathering passes bind besides.
-    pub fn lighting_bindings<'a>(
-        &'a self,
-        tbl: &'a wgpu::TextureView,
-    ) -> [(&'static str, wgpu::BindingResource<'a>); 4] {
+    /// What gathering passes bind.
+    pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 4] {
         let [nodes, triangles] = self.bindings();
-        let tbl = ("tbl", wgpu::BindingResource::TextureView(tbl));
+        let tbl = ("tbl", wgpu::BindingResource::TextureView(&lighting.tbl));
         [nodes, triangles, ("triangle_uvs", self.triangle_uvs.binding()), tbl]
     }
 }
 
+/// One slot of the alias table as `irradiance.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct LightSlot {
+    pub primitive: u32,
+    pub alternative: u32,
+    pub keep: f32,
+    pub pad: f32,
+}
+
+/// The texture-based lighting and the lights in it.
+pub(crate) struct Lighting {
+    /// Outgoing radiance.
+    tbl: wgpu::TextureView,
+    /// Alias table over the lights, by primitive of the hierarchy.
+    pub light_slots: View,
+    /// Its number of entries.
+    pub slots: u32,
+    /// Density per area of the table's draws, per primitive.
+    pub light_density: View,
+}
+
+impl Lighting {
+    pub fn new(gpu: &Gpu, scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<Self> {
+        let order = &scene.bvh.primitive_indices;
+        let triangles = scene.mesh.triangles.len();
+        let known = lights.slots.iter().all(|s| (s.triangle as usize) < triangles && (s.alias as usize) < triangles);
+        if lights.density.len() != triangles || !known {
+            return Err(Error::invalid(format!(
+                "the lights are those of another mesh: {} densities, {triangles} triangles",
+                lights.density.len()
+            )));
+        }
+        let mut primitive_of = vec![0; triangles];
+        for (primitive, &triangle) in order.iter().enumerate() {
+            primitive_of[triangle as usize] = primitive as u32;
+        }
+        let primitive = |t: u32| primitive_of[t as usize];
+        let slots: Vec<LightSlot> = (lights.slots.iter())
+            .map(|s| LightSlot {
+                primitive: primitive(s.triangle),
+                alternative: primitive(s.alias),
+                keep: s.keep,
+                pad: 0.0,
+            })
+            .collect();
+        let density: Vec<f32> = order.iter().map(|&t| lights.density[t as usize]).collect();
+        Ok(Self {
+            tbl: tbl_texture(gpu, radiance)?,
+            light_slots: keep(gpu, "light slots", &slots)?,
+            slots: slots.len() as u32,
+            light_density: keep(gpu, "light densities", &density)?,
+        })
+    }
+}
+
 /// The radiance atlas as a texture.
-pub(crate) fn tbl_texture(gpu: &Gpu, radiance: &Rgb) -> Result<wgpu::TextureView> {
+fn tbl_texture(gpu: &Gpu, radiance: &Rgb) -> Result<wgpu::TextureView> {
     if radiance.data.is_empty() {
         return Err(Error::invalid("the texture-based lighting has no texels"));
     }

@@ -4,16 +4,15 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
-use texir_core::backend::Sampling;
+use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
 use texir_core::surface::SurfacePoint;
 
-use super::WORKGROUP;
-use crate::batch::{Context, Gather, GatherShape};
+use crate::batch::{Context, GatherShape, Gathering};
 use crate::buffer::View;
 use crate::kernel::Kernel;
-use crate::scene::Geometry;
+use crate::scene::{Geometry, Lighting};
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -22,56 +21,71 @@ pub(crate) struct IrradianceParams {
     pub first_point: u32,
     pub first_sample: u32,
     pub end_sample: u32,
-    pub samples: u32,
+    pub cosine_samples: u32,
+    pub light_samples: u32,
+    pub slots: u32,
     pub seed: u32,
 }
 
 struct Irradiance<'a> {
-    kernel: Arc<Kernel>,
+    /// By technique: cosine, lights.
+    kernels: [Arc<Kernel>; 2],
     geometry: &'a Geometry,
-    tbl: &'a wgpu::TextureView,
+    lighting: &'a Lighting,
     points: &'a [SurfacePoint],
-    sampling: Sampling,
-    lanes: u32,
-    out: Vec<[f32; 3]>,
+    gather: Gather,
+    shape: GatherShape,
+    out: Vec<Gathered>,
 }
 
 /// Points and running sums of a batch.
 struct Batch {
     points: View,
-    sums: View,
+    gathered: View,
 }
 
-impl Gather for Irradiance<'_> {
-    type Prepared = Batch;
+impl Gathering for Irradiance<'_> {
+    type Batch = Batch;
 
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
-        let sums = ctx.pool.reserve(&ctx.gpu, "irradiance sums", (items.len() * size_of::<[f32; 3]>()) as u64)?;
-        Ok(Batch { points: ctx.pool.upload(&ctx.gpu, "points", &self.points[items])?, sums })
+        let gathered = ctx.pool.reserve(&ctx.gpu, "gathered", (items.len() * size_of::<Gathered>()) as u64)?;
+        Ok(Batch { points: ctx.pool.upload(&ctx.gpu, "points", &self.points[items])?, gathered })
     }
 
-    fn dispatch(&mut self, ctx: &mut Context, batch: &Batch, items: Range<usize>, samples: Range<u32>) -> Result<()> {
+    fn dispatch(
+        &mut self,
+        ctx: &mut Context,
+        batch: &Batch,
+        technique: usize,
+        items: Range<usize>,
+        samples: Range<u32>,
+    ) -> Result<()> {
         let params = ctx.params(&IrradianceParams {
             count: items.len() as u32,
             first_point: items.start as u32,
             first_sample: samples.start,
             end_sample: samples.end,
-            samples: self.sampling.samples,
-            seed: self.sampling.seed,
+            cosine_samples: self.gather.cosine,
+            light_samples: self.gather.light,
+            slots: self.lighting.slots,
+            seed: self.gather.seed,
         });
         let own = [
             ("params", params.binding()),
             ("points", batch.points.binding()),
-            ("irradiance_sums", batch.sums.binding()),
+            ("light_slots", self.lighting.light_slots.binding()),
+            ("light_density", self.lighting.light_density.binding()),
+            ("gathered", batch.gathered.binding()),
         ];
-        let groups = self.kernel.bind(&ctx.gpu, &[&self.geometry.lighting_bindings(self.tbl)[..], &own].concat())?;
-        let workgroups = items.len().div_ceil(WORKGROUP / self.lanes as usize);
+        let kernel = &self.kernels[technique];
+        let groups = kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
-        ctx.submit_rays(rays, |pass| self.kernel.record(pass, &groups, workgroups))
+        ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
     }
 
     fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {
-        self.out.extend(ctx.pool.download::<[f32; 3]>(&ctx.gpu, &batch.sums, count)?);
+        self.out.extend(ctx.pool.download::<Gathered>(&ctx.gpu, &batch.gathered, count)?);
         Ok(())
     }
 }
@@ -79,15 +93,19 @@ impl Gather for Irradiance<'_> {
 /// See [`texir_core::backend::Backend::irradiance`].
 pub(crate) fn run(
     ctx: &mut Context,
-    (geometry, tbl): (&Geometry, &wgpu::TextureView),
+    (geometry, lighting): (&Geometry, &Lighting),
     points: &[SurfacePoint],
-    sampling: Sampling,
+    gather: Gather,
     shape: GatherShape,
     progress: &dyn Progress,
-) -> Result<Vec<[f32; 3]>> {
-    let kernel = ctx.kernel("irradiance", "irradiance", Some(("LANES", shape.lanes)))?;
+) -> Result<Vec<Gathered>> {
+    let lanes = Some(("LANES", shape.lanes));
+    let kernels =
+        [ctx.kernel("irradiance", "gather_cosine", lanes)?, ctx.kernel("irradiance", "gather_lights", lanes)?];
+    // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
+    let gather = Gather { light: if lighting.slots == 0 { 0 } else { gather.light }, ..gather };
     let out = Vec::with_capacity(points.len());
-    let mut pass = Irradiance { kernel, geometry, tbl, points, sampling, lanes: shape.lanes, out };
-    ctx.gather(points.len(), sampling, shape, progress, &mut pass)?;
+    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, shape, out };
+    ctx.gather(points.len(), [gather.cosine, gather.light], shape, progress, &mut pass)?;
     Ok(pass.out)
 }

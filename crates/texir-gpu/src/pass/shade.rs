@@ -8,11 +8,10 @@ use texir_core::backend::{Material, RoughnessGradient, Sampling, ShadePoint, Sha
 use texir_core::error::Result;
 use texir_core::progress::Progress;
 
-use super::WORKGROUP;
-use crate::batch::{Context, Gather, GatherShape};
+use crate::batch::{Context, GatherShape, Gathering};
 use crate::buffer::View;
 use crate::kernel::Kernel;
-use crate::scene::Geometry;
+use crate::scene::{Geometry, Lighting};
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -27,11 +26,11 @@ pub(crate) struct ShadeParams {
 struct Shade<'a> {
     kernel: Arc<Kernel>,
     geometry: &'a Geometry,
-    tbl: &'a wgpu::TextureView,
+    lighting: &'a Lighting,
     points: &'a [ShadePoint],
     materials: &'a [Material],
     sampling: Sampling,
-    lanes: u32,
+    shape: GatherShape,
     out: Vec<Shaded>,
 }
 
@@ -42,8 +41,8 @@ struct Batch {
     shaded: View,
 }
 
-impl Gather for Shade<'_> {
-    type Prepared = Batch;
+impl Gathering for Shade<'_> {
+    type Batch = Batch;
 
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
         Ok(Batch {
@@ -53,7 +52,14 @@ impl Gather for Shade<'_> {
         })
     }
 
-    fn dispatch(&mut self, ctx: &mut Context, batch: &Batch, items: Range<usize>, samples: Range<u32>) -> Result<()> {
+    fn dispatch(
+        &mut self,
+        ctx: &mut Context,
+        batch: &Batch,
+        _: usize,
+        items: Range<usize>,
+        samples: Range<u32>,
+    ) -> Result<()> {
         let params = ctx.params(&ShadeParams {
             count: items.len() as u32,
             first_sample: samples.start,
@@ -67,8 +73,8 @@ impl Gather for Shade<'_> {
             ("materials", batch.materials.binding()),
             ("shaded", batch.shaded.binding()),
         ];
-        let groups = self.kernel.bind(&ctx.gpu, &[&self.geometry.lighting_bindings(self.tbl)[..], &own].concat())?;
-        let workgroups = items.len().div_ceil(WORKGROUP / self.lanes as usize);
+        let groups = self.kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.submit_rays(rays, |pass| self.kernel.record(pass, &groups, workgroups))
     }
@@ -82,7 +88,7 @@ impl Gather for Shade<'_> {
 /// See [`texir_core::backend::Backend::shade`].
 pub(crate) fn run(
     ctx: &mut Context,
-    (geometry, tbl): (&Geometry, &wgpu::TextureView),
+    (geometry, lighting): (&Geometry, &Lighting),
     (points, materials): (&[ShadePoint], &[Material]),
     (sampling, gradient): (Sampling, RoughnessGradient),
     shape: GatherShape,
@@ -90,7 +96,7 @@ pub(crate) fn run(
 ) -> Result<Vec<Shaded>> {
     let kernel = ctx.kernel_with("shade", "shade", Some(("LANES", shape.lanes)), gradient.into())?;
     let out = Vec::with_capacity(points.len());
-    let mut pass = Shade { kernel, geometry, tbl, points, materials, sampling, lanes: shape.lanes, out };
-    ctx.gather(points.len(), sampling, shape, progress, &mut pass)?;
+    let mut pass = Shade { kernel, geometry, lighting, points, materials, sampling, shape, out };
+    ctx.gather(points.len(), [sampling.samples], shape, progress, &mut pass)?;
     Ok(pass.out)
 }
