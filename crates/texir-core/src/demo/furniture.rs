@@ -21,9 +21,9 @@ pub(super) fn furnish(out: &mut Vec<Chart>, layout: &Layout, index: usize, palet
     site.door_leaves();
     match layout.rooms[index].kind {
         RoomKind::Living => {
-            site.sofa();
             site.screen();
             site.bookshelf();
+            site.sofa();
             site.coffee_corner();
             site.floor_lamp();
             site.cabinet(1.1, 0.9);
@@ -45,8 +45,8 @@ pub(super) fn furnish(out: &mut Vec<Chart>, layout: &Layout, index: usize, palet
             site.spots();
         }
         RoomKind::Study => {
-            site.desk();
             site.bookshelf();
+            site.desk();
             site.armchair();
             site.plant();
             site.panel();
@@ -228,15 +228,16 @@ impl<'a> Site<'a> {
     }
 
     fn screen(&mut self) {
-        let Some(frame) = self.against_wall(1.7, 0.42, true) else { return };
+        let fit = [1.7, 1.5].into_iter().find_map(|width| Some((width, self.against_wall(width, 0.42, true)?)));
+        let Some((width, frame)) = fit else { return };
         let fronts = self.look(self.palette.fronts, class::CABINET);
         let screen = self.look(self.palette.screen, class::SCREEN);
         let metal = self.look(self.palette.metal, class::SCREEN);
-        self.block(fronts, frame, [0.0, 0.0, 0.0], [1.7, 0.42, 0.48], Faces::STANDING);
-        self.block(metal, frame, [0.65, 0.1, 0.48], [1.05, 0.26, 0.5], Faces::STANDING);
-        self.block(metal, frame, [0.82, 0.15, 0.5], [0.88, 0.19, 0.56], Faces::STANDING.without(Faces::TOP));
-        self.block(screen, frame, [0.25, 0.14, 0.56], [1.45, 0.2, 1.26], Faces::ALL);
-        self.vase(frame.moved(Vec3::new(1.56, 0.2, 0.48)), 0.26);
+        self.block(fronts, frame, [0.0, 0.0, 0.0], [width, 0.42, 0.48], Faces::STANDING);
+        self.block(metal, frame, [0.55, 0.1, 0.48], [0.95, 0.26, 0.5], Faces::STANDING);
+        self.block(metal, frame, [0.72, 0.15, 0.5], [0.78, 0.19, 0.56], Faces::STANDING.without(Faces::TOP));
+        self.block(screen, frame, [0.2, 0.14, 0.56], [1.3, 0.2, 1.2], Faces::ALL);
+        self.vase(frame.moved(Vec3::new(width - 0.13, 0.2, 0.48)), 0.26);
     }
 
     fn cabinet(&mut self, width: f32, height: f32) {
@@ -353,7 +354,8 @@ impl<'a> Site<'a> {
 
     fn dining(&mut self) {
         let size = Vec2::new(1.2, 0.8);
-        let Some(frame) = self.in_the_open(size.x, size.y + 0.9, 0.2) else { return };
+        let fit = [0.2, 0.06].into_iter().find_map(|margin| self.in_the_open(size.x, size.y + 0.9, margin));
+        let Some(frame) = fit else { return };
         let frame = frame.moved(Vec3::new(0.0, 0.45, 0.0));
         self.table(frame, size);
         for x in [0.32, 0.88] {
@@ -377,7 +379,7 @@ impl<'a> Site<'a> {
     }
 
     fn desk(&mut self) {
-        let Some(frame) = self.against_wall(1.5, 0.7, true) else { return };
+        let Some(frame) = self.against_wall(1.5, 0.7, false) else { return };
         self.table(frame, Vec2::new(1.5, 0.7));
         let screen = self.look(self.palette.screen, class::SCREEN);
         self.block(screen, frame, [0.45, 0.12, 0.75], [0.75, 0.3, 0.765], Faces::STANDING);
@@ -391,13 +393,14 @@ impl<'a> Site<'a> {
     }
 
     fn bed(&mut self) {
-        let (width, length) = (1.5, 2.05);
-        let Some(frame) = self.against_wall(width, length, true) else { return };
+        let length = 2.05;
+        let fit = [1.5, 1.3, 1.0].into_iter().find_map(|width| Some((width, self.against_wall(width, length, false)?)));
+        let Some((width, frame)) = fit else { return };
         let wood = self.look(self.palette.wood, class::BED);
         let linen = self.look(self.palette.linen, class::BED);
         let blanket = self.look(self.palette.fabric, class::BED);
         let pillow = self.look(self.palette.cushion, class::BED);
-        self.block(wood, frame, [0.0, 0.0, 0.0], [width, 0.06, 1.0], Faces::STANDING);
+        self.block(wood, frame, [0.0, 0.0, 0.0], [width, 0.06, 0.8], Faces::STANDING);
         self.block(wood, frame, [0.0, 0.06, 0.0], [width, length, 0.3], Faces::STANDING.without(Faces::BACK));
         self.block(
             linen,
@@ -407,8 +410,8 @@ impl<'a> Site<'a> {
             Faces::STANDING.without(Faces::BACK),
         );
         self.block(blanket, frame, [0.015, 0.75, 0.32], [width - 0.015, length - 0.015, 0.535], Faces::ALL);
-        for x in [0.1, 0.8] {
-            self.block(pillow, frame, [x, 0.1, 0.502], [x + 0.6, 0.5, 0.62], Faces::ALL);
+        for x in [0.08, 0.5 * width + 0.04] {
+            self.block(pillow, frame, [x, 0.1, 0.502], [x + 0.5 * width - 0.12, 0.5, 0.62], Faces::ALL);
         }
     }
 

@@ -130,13 +130,13 @@ impl Flat {
         if !layout::ROOMS.contains(&options.rooms) {
             return Err(Error::invalid(format!("a flat has 3 to 5 rooms, {} asked for", options.rooms)));
         }
-        if options.atlas < 256 || options.atlas % 4 != 0 {
+        if options.atlas < 256 || !options.atlas.is_multiple_of(4) {
             let side = options.atlas;
             return Err(Error::invalid(format!(
                 "the demo's atlas must be a multiple of 4 and at least 256, got {side}"
             )));
         }
-        if !(options.roughness_variation >= 0.0) || !options.roughness_variation.is_finite() {
+        if !options.roughness_variation.is_finite() || options.roughness_variation < 0.0 {
             let value = options.roughness_variation;
             return Err(Error::invalid(format!("roughness_variation must be a number of at least 0, got {value}")));
         }

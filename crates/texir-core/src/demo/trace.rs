@@ -118,7 +118,7 @@ impl<'a> World<'a> {
         let direction = way / distance2.sqrt();
         let cosine = -drawn.normal.dot(direction);
         // Phrased so that coincident points, whose direction is NaN, fail.
-        if !(cosine > 0.0 && normal.dot(direction) > 0.0) || !self.visible(position, drawn.position) {
+        if !(cosine > 0.0 && normal.dot(direction) > 0.0 && self.visible(position, drawn.position)) {
             return None;
         }
         Some((direction, bilinear(&self.flat.emission, drawn.uv), drawn.pdf * distance2 / cosine))
