@@ -1,8 +1,8 @@
 //! Radiance for texels that no view sees, from texels nearby in space that face the same way.
 //!
 //! Seen texels are averaged in cells of a sparse grid, apart for each of six facing directions, at doubling cell sizes. An
-//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric, and light sources
-//! are left out: light that no view shows is not invented.
+//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric, and only the finest
+//! level knows light sources: the strip of a window behind its frame shines, but light is not invented further away.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, DefaultHasher};
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::surface::SurfacePoint;
 
 /// Sizes of cells that are tried: from the finest, each twice the one before.
-const LEVELS: u32 = 12;
+const LEVELS: usize = 12;
 /// Cells on the finest level are this many texels wide.
 const FINEST: f32 = 4.0;
 /// Texels are not taken for smaller than this, metres: degenerate triangles have none.
@@ -27,8 +27,8 @@ const BLACK: f32 = 1e-6;
 /// typical texel, metres.
 pub(super) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
     let limit = SOURCE * median_of_means(known);
-    let seen = points.iter().zip(known).filter_map(|(p, k)| Some((p, k.filter(|&radiance| mean(radiance) <= limit)?)));
-    let grid = Grid::new(seen, texel);
+    let seen = points.iter().zip(known).filter_map(|(p, k)| Some((p, (*k)?)));
+    let grid = Grid::new(seen, texel, limit);
     points.par_iter().zip(known).map(|(point, known)| known.unwrap_or_else(|| grid.radiance(point))).collect()
 }
 
@@ -51,6 +51,13 @@ struct Mean {
     weight: f32,
 }
 
+impl Mean {
+    fn add(&mut self, sum: Vec3, weight: f32) {
+        self.sum += sum;
+        self.weight += weight;
+    }
+}
+
 /// Cells of one size. The hasher is fixed, so that sums over cells run in the same order every time.
 type Level = HashMap<(IVec3, u8), Mean, BuildHasherDefault<DefaultHasher>>;
 
@@ -63,25 +70,27 @@ struct Grid {
 }
 
 impl Grid {
-    fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, [f32; 3])>, texel: f32) -> Self {
+    /// `limit` is the mean over the channels above which a texel is a light source.
+    fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, [f32; 3])>, texel: f32, limit: f32) -> Self {
         let cell = FINEST * texel.max(SMALLEST_TEXEL);
         let mut finest = Level::default();
+        let mut without_sources = Level::default();
         let mut all = Mean::default();
         for (point, radiance) in seen {
             let log = (Vec3::from(radiance) + BLACK).map(f32::ln);
             let key = ((Vec3::from(point.position) / cell).floor().as_ivec3(), facing(point.normal.into()));
-            for mean in [finest.entry(key).or_default(), &mut all] {
-                mean.sum += log;
-                mean.weight += 1.0;
+            finest.entry(key).or_default().add(log, 1.0);
+            if mean(radiance) <= limit {
+                without_sources.entry(key).or_default().add(log, 1.0);
+                all.add(log, 1.0);
             }
         }
         let mut levels = vec![finest];
-        while levels.len() < LEVELS as usize {
+        for level in 1..LEVELS {
+            let fine = if level == 1 { &without_sources } else { &levels[level - 1] };
             let mut coarse = Level::default();
-            for ((cell, facing), mean) in levels.last().into_iter().flatten() {
-                let parent = coarse.entry((*cell >> 1, *facing)).or_default();
-                parent.sum += mean.sum;
-                parent.weight += mean.weight;
+            for ((cell, facing), mean) in fine {
+                coarse.entry((*cell >> 1, *facing)).or_default().add(mean.sum, mean.weight);
             }
             levels.push(coarse);
         }
@@ -109,8 +118,7 @@ impl Grid {
             let offset = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
             let tent = (Vec3::ONE - (f - offset.as_vec3()).abs()).element_product();
             if let Some(mean) = cells.get(&(base + offset, facing)) {
-                blend.sum += mean.sum / mean.weight * tent;
-                blend.weight += tent;
+                blend.add(mean.sum / mean.weight * tent, tent);
             }
         }
         // A sliver of a far cell is no basis.
