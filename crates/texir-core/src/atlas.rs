@@ -62,11 +62,15 @@ impl Atlas {
         raster
     }
 
-    /// [`Atlas::scatter`], then `rings` times the empty texels next to filled ones take their first filled neighbour's
-    /// value, so that lookups just outside a chart find what is just inside.
-    pub fn scatter_padded<T: Copy>(&self, values: &[T], empty: T, rings: usize) -> Raster<T> {
-        let mut raster = self.scatter(values, empty);
-        let mut filled = self.valid();
+    /// [`Atlas::scatter`] of the values flagged `known`, then `rings` times the empty texels next to filled ones take
+    /// their first filled neighbour's value, so that lookups just outside find what is just inside.
+    pub fn scatter_padded<T: Copy>(&self, values: &[T], known: &[bool], empty: T, rings: usize) -> Raster<T> {
+        let mut raster = Raster::filled(self.width, self.height, empty);
+        let mut filled = vec![false; self.width * self.height];
+        for ((&texel, &value), _) in self.texels.iter().zip(values).zip(known).filter(|(_, known)| **known) {
+            raster.data[texel as usize] = value;
+            filled[texel as usize] = true;
+        }
         for _ in 0..rings {
             let before = filled.clone();
             for y in 0..self.height {

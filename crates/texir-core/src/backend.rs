@@ -8,6 +8,8 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::lights::Lights;
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::surface::{Hit, SurfacePoint};
@@ -20,6 +22,27 @@ pub struct Sampling {
     pub samples: u32,
     /// Seed of the run; item `i` draws from the sequence scrambled by `hash(seed, i)`.
     pub seed: u32,
+}
+
+/// How many rays the irradiance gather sends, and where.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gather {
+    /// Cosine-distributed rays per point, at least 1.
+    pub cosine: u32,
+    /// Rays per point to the [`Lights`]; 0 leaves them to the cosine samples.
+    pub light: u32,
+    /// Seed of the run; point `i` draws from the sequences scrambled by `hash(seed, i)`.
+    pub seed: u32,
+}
+
+/// What the gather found at one point.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Gathered {
+    /// E = ∫ L cosθ dω, linear RGB; cosine included, not divided by π.
+    pub irradiance: [f32; 3],
+    /// Share of the cosine samples that met the back of a triangle: near 1 for a point inside an object.
+    pub back_faces: f32,
 }
 
 /// Which derivative with respect to roughness [`Backend::shade`] returns.
@@ -52,6 +75,26 @@ pub struct ShadePoint {
     pub irradiance: [f32; 3],
     /// Keeps the WGSL layout.
     pub pad2: f32,
+}
+
+impl ShadePoint {
+    /// The point that pixel index `pixel` of a view sees, shaded on the camera's side.
+    pub fn new(mesh: &Mesh, camera: &Camera, pixel: u32, hit: &Hit, irradiance: [f32; 3]) -> Self {
+        let x = (pixel as usize % camera.width) as f32 + 0.5;
+        let y = (pixel as usize / camera.width) as f32 + 0.5;
+        let to_camera = -camera.direction(x, y);
+        let surface = SurfacePoint::new(mesh, hit, Some(to_camera));
+        Self {
+            position: surface.position,
+            sequence: pixel,
+            normal: surface.normal,
+            pad0: 0.0,
+            view: to_camera.to_array(),
+            pad1: 0.0,
+            irradiance,
+            pad2: 0.0,
+        }
+    }
 }
 
 /// The BRDF's parameters at one point.
@@ -156,8 +199,8 @@ pub trait Backend {
     fn name(&self) -> String;
 
     /// Sets the radiance texture that [`Backend::irradiance`] and [`Backend::shade`] gather (linear RGB, nearest texel;
-    /// rays that miss the mesh return 0).
-    fn set_tbl(&mut self, radiance: &Rgb) -> Result<()>;
+    /// rays that miss the mesh return 0), and the lights in it that the gather samples.
+    fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
 
     /// Primary visibility: the closest hit through every pixel centre, `camera.pixels()` items. `t` is in metres.
     fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>>;
@@ -167,13 +210,10 @@ pub trait Backend {
     /// nearest point of the nearest such triangle (conservative at chart borders).
     fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>>;
 
-    /// Irradiance gather: E = ∫ L cosθ dω (full, not divided by π) at every point, cosine-distributed Sobol samples.
-    fn irradiance(
-        &mut self,
-        points: &[SurfacePoint],
-        sampling: Sampling,
-        progress: &dyn Progress,
-    ) -> Result<Vec<[f32; 3]>>;
+    /// Irradiance gather at every point: cosine-distributed Sobol samples and light samples, combined by the balance
+    /// heuristic; unbiased for any split. Advances `progress` by the rays traced.
+    fn irradiance(&mut self, points: &[SurfacePoint], gather: Gather, progress: &dyn Progress)
+    -> Result<Vec<Gathered>>;
 
     /// Projects points into a view and tests visibility through the BVH.
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>>;
@@ -200,8 +240,9 @@ pub trait Backend {
     /// Image loss: the weighted mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x).
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>>;
 
-    /// Σ over groups of mean |value − target(group)|; `values` holds `channels` numbers per pixel, and the mean is over
-    /// members and channels.
+    /// Mean of |value − target(group)| over the pixels of all groups and over channels; `values` holds `channels` numbers
+    /// per pixel. A class counts by its pixels, so that the term keeps its balance with the image loss, which is a mean
+    /// over pixels too.
     fn group_loss(
         &mut self,
         values: &[f32],

@@ -97,6 +97,18 @@ impl Camera {
         (inside(px, width) && inside(py, height)).then_some([px, py])
     }
 
+    /// The same view with `factor` pixels for each along both axes.
+    pub fn supersampled(&self, factor: usize) -> Self {
+        let scale = factor as f32;
+        let projection = match self.projection {
+            Projection::Equirectangular => Projection::Equirectangular,
+            Projection::Pinhole { fx, fy, cx, cy } => {
+                Projection::Pinhole { fx: fx * scale, fy: fy * scale, cx: cx * scale, cy: cy * scale }
+            }
+        };
+        Self { projection, width: self.width * factor, height: self.height * factor, ..*self }
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height

@@ -197,23 +197,30 @@ impl Footprints {
         Self { rows, touched, columns }
     }
 
-    /// Trilinear footprints of a view's pixels from their primary hits; pixels without a hit get an empty row.
-    ///
-    /// The level follows the longer axis of the pixel's footprint in the atlas, from ray differentials (Igehy 1999).
-    pub fn of_view(pyramid: &Pyramid, mesh: &Mesh, camera: &Camera, hits: &[Hit]) -> Self {
-        let level0 = pyramid.levels[0];
-        let texels = Vec2::new(level0.width as f32, level0.height as f32);
-        let lists: Vec<Vec<Tap>> = hits
+    /// Footprints of the listed pixels of a view. `fine` is the view [`Camera::supersampled`] by `factor`, `hits` its
+    /// primary hits: a pixel sees the mean of its factor² trilinear sub-pixel footprints, as box-filtered images do.
+    /// Sub-pixels without a hit are left out; a pixel without any gets an empty row.
+    pub fn of_pixels(
+        pyramid: &Pyramid,
+        mesh: &Mesh,
+        fine: &Camera,
+        factor: usize,
+        hits: &[Hit],
+        pixels: &[u32],
+    ) -> Self {
+        let width = fine.width / factor;
+        let lists: Vec<Vec<Tap>> = pixels
             .par_iter()
-            .enumerate()
-            .map(|(i, hit)| {
-                if !hit.is_hit() {
-                    return Vec::new();
-                }
-                let (x, y) = ((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
-                let (du, dv) = uv_differentials(mesh, camera, hit, x, y);
-                let width = (du * texels).length().max((dv * texels).length());
-                pyramid.trilinear(hit.uv(mesh), if width.is_finite() { width } else { 1.0 })
+            .map(|&pixel| {
+                let (x, y) = (pixel as usize % width * factor, pixel as usize / width * factor);
+                let mut taps: Vec<Tap> = (0..factor * factor)
+                    .flat_map(|k| {
+                        let (x, y) = (x + k % factor, y + k / factor);
+                        sub_pixel(pyramid, mesh, fine, &hits[y * fine.width + x], x, y)
+                    })
+                    .collect();
+                merge(&mut taps);
+                taps
             })
             .collect();
         Self::new(Rows::from_lists(lists))
@@ -233,6 +240,31 @@ impl Footprints {
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
+}
+
+/// Trilinear taps of pixel (x, y). The level follows the longer axis of its footprint in the atlas, from ray
+/// differentials (Igehy, "Tracing Ray Differentials", 1999).
+fn sub_pixel(pyramid: &Pyramid, mesh: &Mesh, camera: &Camera, hit: &Hit, x: usize, y: usize) -> Vec<Tap> {
+    if !hit.is_hit() {
+        return Vec::new();
+    }
+    let atlas = Vec2::new(pyramid.levels[0].width as f32, pyramid.levels[0].height as f32);
+    let (du, dv) = uv_differentials(mesh, camera, hit, x as f32 + 0.5, y as f32 + 0.5);
+    let width = (du * atlas).length().max((dv * atlas).length());
+    pyramid.trilinear(hit.uv(mesh), if width.is_finite() { width } else { 1.0 })
+}
+
+/// Joins taps on the same texel and makes the weights sum to 1.
+fn merge(taps: &mut Vec<Tap>) {
+    taps.sort_unstable_by_key(|t| t.texel);
+    taps.dedup_by(|next, kept| {
+        let same = next.texel == kept.texel;
+        if same {
+            kept.weight += next.weight;
+        }
+        same
+    });
+    normalise(taps, 1.0);
 }
 
 /// Change of the atlas coordinates per pixel step in x and in y, on the plane of the triangle that was hit.

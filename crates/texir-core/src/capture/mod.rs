@@ -14,7 +14,8 @@ use crate::mesh::Mesh;
 use crate::raster::{Gray, Raster, Rgb};
 
 /// What a view is used for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Split {
     /// The fit sees it.
     Train,
@@ -50,7 +51,7 @@ pub struct View {
 /// Texture-based lighting: the mesh's outgoing radiance in its atlas.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tbl {
-    /// Linear radiance per texel; 0 outside the charts.
+    /// Linear radiance per texel; 0 outside the charts, apart from a gutter that repeats their borders.
     pub radiance: Rgb,
     /// How each texel came to be known.
     pub coverage: Raster<Coverage>,

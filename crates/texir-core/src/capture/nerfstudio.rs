@@ -307,7 +307,7 @@ fn pose(place: &Place, rows: &[Vec<f64>]) -> Result<DMat4> {
     let lengths = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|axis| axis.length());
     // Relative to the lengths of the axes, so that a tiny but proper scale is not mistaken for a singular matrix.
     let spanned = determinant / lengths.iter().product::<f64>();
-    if !(spanned.abs() > 1e-6) {
+    if spanned.is_nan() || spanned.abs() <= 1e-6 {
         return wrong(format!(
             "is singular (determinant {determinant:.3e}); expected a rotation and a translation, camera to world"
         ));

@@ -56,8 +56,7 @@ impl Tbl {
         Ok(Self { radiance, coverage })
     }
 
-    /// Writes the HDR texture to `path`, its mask first: a texture never stands beside a mask that is not its own for
-    /// longer than the renaming takes.
+    /// Writes the HDR texture to `path`, its mask first: where there is a texture, there is its mask.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
         let levels = self.coverage.map(|coverage| match coverage {

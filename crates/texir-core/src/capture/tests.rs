@@ -1,1 +1,369 @@
+//! A tiny capture made in code, and everything that can be wrong with one.
 
+use std::sync::Mutex;
+
+use glam::{Mat4, Vec2, Vec3};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use super::*;
+use crate::camera::Projection;
+use crate::image_io::{write_gray, write_png_labels, write_png_mask, write_rgb};
+use crate::mesh_io::obj;
+use crate::progress::{Progress, Silent};
+use crate::raster::{Labels, Mask};
+
+/// Collects warnings.
+#[derive(Default)]
+struct Warnings(Mutex<Vec<String>>);
+
+impl Progress for Warnings {
+    fn start(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, message: &str) {
+        self.0.lock().unwrap().push(message.to_owned());
+    }
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+impl Warnings {
+    fn all(self) -> Vec<String> {
+        self.0.into_inner().unwrap()
+    }
+}
+
+const WIDTH: usize = 4;
+const HEIGHT: usize = 2;
+
+/// A square and, a metre above it, a second one; the cameras are between them.
+fn mesh() -> Mesh {
+    let mut mesh = Mesh::default();
+    for (level, u) in [(0.0, 0.0), (1.0, 0.5)] {
+        let base = mesh.positions.len() as u32;
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            mesh.positions.push(Vec3::new(x, y, level));
+            mesh.normals.push(Vec3::Z);
+            mesh.uvs.push(Vec2::new(u + 0.4 * x, 0.9 * y));
+        }
+        mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+    }
+    mesh
+}
+
+/// The three views of the capture in `root`, pose and all: two for training, one held out.
+fn views(root: &Path) -> Vec<View> {
+    let view = |i: usize| View {
+        name: format!("view_{i}"),
+        camera: Camera {
+            projection: Projection::Equirectangular,
+            width: WIDTH,
+            height: HEIGHT,
+            world_from_camera: Mat4::from_translation(Vec3::new(0.5, 0.25 * (i + 1) as f32, 0.5))
+                * Mat4::from_rotation_x(1.5)
+                * Mat4::from_rotation_y(i as f32),
+        },
+        split: if i < 2 { Split::Train } else { Split::Novel },
+        image: root.join(format!("hdr/view_{i}.exr")),
+        semantic: Some(root.join(format!("semantic/view_{i}.png"))),
+        mask: Some(root.join(format!("mask/view_{i}.png"))),
+        room: Some(root.join(format!("room/view_{i}.png"))),
+        room_id: Some(1),
+        albedo: Some(root.join(format!("albedo/view_{i}.exr"))),
+        roughness: Some(root.join(format!("roughness/view_{i}.exr"))),
+    };
+    (0..3).map(view).collect()
+}
+
+fn capture() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let views = views(root);
+    for (i, view) in views.iter().enumerate() {
+        write_rgb(&view.image, &Rgb::filled(WIDTH, HEIGHT, [i as f32, 1.0, 2.0])).unwrap();
+        write_png_labels(view.semantic.as_ref().unwrap(), &Labels::filled(WIDTH, HEIGHT, 7)).unwrap();
+        write_png_mask(view.mask.as_ref().unwrap(), &Mask::filled(WIDTH, HEIGHT, true)).unwrap();
+        write_png_labels(view.room.as_ref().unwrap(), &Labels::filled(WIDTH, HEIGHT, 300)).unwrap();
+        write_rgb(view.albedo.as_ref().unwrap(), &Rgb::filled(WIDTH, HEIGHT, [0.5; 3])).unwrap();
+        write_gray(view.roughness.as_ref().unwrap(), &Gray::filled(WIDTH, HEIGHT, 0.25)).unwrap();
+    }
+    nerfstudio::write_transforms(root.join("transforms.json"), &views).unwrap();
+    obj::write(root.join("mesh.obj"), &mesh()).unwrap();
+    folder
+}
+
+fn load_warned(folder: &TempDir) -> (Result<Capture>, Vec<String>) {
+    let warnings = Warnings::default();
+    let result = load(folder, &LoadOptions::default(), &warnings);
+    (result, warnings.all())
+}
+
+fn message(folder: &TempDir) -> String {
+    load_warned(folder).0.unwrap_err().to_string()
+}
+
+/// Changes the capture's `transforms.json`.
+fn edit(folder: &TempDir, change: impl FnOnce(&mut Value)) {
+    let path = folder.path().join("transforms.json");
+    let mut document = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    change(&mut document);
+    std::fs::write(path, document.to_string()).unwrap();
+}
+
+#[track_caller]
+fn assert_says(message: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(message.contains(part), "{part:?} is not in: {message}");
+    }
+}
+
+#[test]
+fn a_good_capture_loads_without_a_warning() {
+    let folder = capture();
+    let (capture, warnings) = load_warned(&folder);
+    let capture = capture.unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    assert_eq!(capture.mesh.triangles, mesh().triangles);
+    assert!(capture.tbl.is_none() && capture.truth.is_none() && capture.emission.is_none());
+    assert_eq!(capture.views(Split::Train).count(), 2);
+    for (read, written) in capture.views.iter().zip(views(folder.path())) {
+        assert_eq!(format!("{read:?}"), format!("{written:?}"), "write_transforms and read_transforms agree");
+    }
+    let view = &capture.views[1];
+    assert_eq!(view.load_image(&Silent).unwrap().data[0], [1.0, 1.0, 2.0]);
+    assert_eq!(view.load_semantic().unwrap().unwrap().data[0], 7);
+    assert_eq!(view.load_room().unwrap().unwrap().data[0], 300);
+    assert!(view.load_mask().unwrap().unwrap().data[0]);
+    assert_eq!(view.load_albedo().unwrap().unwrap().data[0], [0.5; 3]);
+    assert_eq!(view.load_roughness().unwrap().unwrap().data[0], 0.25);
+}
+
+#[test]
+fn textures_of_the_folder_are_found_and_overridden() {
+    let folder = capture();
+    let root = folder.path();
+    let texels = Rgb::new(2, 1, vec![[1.0, 2.0, 3.0], [0.0; 3]]).unwrap();
+    for name in ["albedo_tex.exr", "emission_tex.exr"] {
+        write_rgb(root.join(name), &texels).unwrap();
+    }
+    write_gray(root.join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
+    write_rgb(root.join("hdr_texture.exr"), &texels).unwrap();
+    let capture = load_warned(&folder).0.unwrap();
+    assert_eq!(capture.truth.unwrap().albedo, texels);
+    assert_eq!(capture.emission.unwrap(), texels);
+    let tbl = capture.tbl.unwrap();
+    assert_eq!(tbl.coverage.data, [Coverage::Seen, Coverage::Outside], "without a mask, light tells");
+
+    let other = Tbl { coverage: Raster::new(2, 1, vec![Coverage::Inpainted, Coverage::Seen]).unwrap(), ..tbl };
+    other.write(root.join("tbl/other.exr")).unwrap();
+    let options = LoadOptions { tbl: Some(root.join("tbl/other.exr")), mesh: Some(root.join("none.ply")) };
+    let error = load(root, &options, &Silent).unwrap_err().to_string();
+    assert_says(&error, &["none.ply", "cannot be read"]);
+    let capture = load(root, &LoadOptions { mesh: None, ..options }, &Silent).unwrap();
+    assert_eq!(capture.tbl.unwrap(), other);
+
+    write_png_labels(root.join("tbl/other_mask.png"), &Labels::filled(2, 1, 7)).unwrap();
+    let error = Tbl::read(root.join("tbl/other.exr"), &Silent).unwrap_err().to_string();
+    assert_says(&error, &["other_mask.png", "level 7", "128"]);
+}
+
+#[test]
+fn perspective_cameras_survive_a_round_trip_and_need_no_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cameras.json");
+    let mut written = views(folder.path());
+    written[1].camera.projection = Projection::Pinhole { fx: 3.0, fy: 3.5, cx: 2.0, cy: 0.75 };
+    written[2].camera.width = 9;
+    nerfstudio::write_transforms(&path, &written).unwrap();
+    let read = load_cameras(&path).unwrap();
+    assert_eq!(format!("{read:?}"), format!("{written:?}"));
+}
+
+#[test]
+fn intrinsics_may_stand_in_the_file_or_in_the_frame_and_lists_split() {
+    let identity = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]);
+    let document = json!({
+        "camera_model": "OPENCV", "w": 4, "h": 2, "fl_x": 3.0, "fl_y": 3.0, "cx": 2, "cy": 1, "k1": 0.0,
+        "aabb_scale": 16,
+        "test_filenames": ["b/0.exr"],
+        "frames": [
+            {"file_path": "a/0.exr", "fl_x": 5.0, "transform_matrix": identity},
+            {"file_path": "b/0.exr", "transform_matrix": identity}
+        ]
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    std::fs::write(&path, document.to_string()).unwrap();
+    let views = load_cameras(&path).unwrap();
+    assert_eq!(views[0].camera.projection, Projection::Pinhole { fx: 5.0, fy: 3.0, cx: 2.0, cy: 1.0 });
+    assert_eq!(views[1].camera.projection, Projection::Pinhole { fx: 3.0, fy: 3.0, cx: 2.0, cy: 1.0 });
+    assert_eq!(views.iter().map(|v| v.split).collect::<Vec<_>>(), [Split::Train, Split::Novel]);
+    assert_eq!(views.iter().map(|v| v.name.as_str()).collect::<Vec<_>>(), ["a_0", "b_0"], "stems collide");
+    assert_eq!(views[0].image, folder.path().join("a/0.exr"));
+}
+
+#[test]
+fn every_unusable_field_of_transforms_json_is_named_with_its_value() {
+    let scaled = |s: f64| json!([[s, 0, 0, 0], [0, s, 0, 0], [0, 0, s, 0], [0, 0, 0, 1]]);
+    let rows = |row: Value| json!([[1, 0, 0, 0], row, [0, 0, 1, 0], [0, 0, 0, 1]]);
+    for (pointer, value, parts) in [
+        ("/frames/1/transform_matrix", rows(json!([1, 0, 0, 0])), vec!["transform_matrix", "singular", "determinant"]),
+        ("/frames/1/transform_matrix", rows(json!([0, -1, 0, 0])), vec!["transform_matrix", "mirrors", "-1.000"]),
+        (
+            "/frames/1/transform_matrix",
+            rows(json!([0.5, 1, 0, 0])),
+            vec!["transform_matrix", "not rigid", "orthonormal"],
+        ),
+        ("/frames/1/transform_matrix", scaled(2.0), vec!["transform_matrix", "not rigid", "2.0000"]),
+        ("/frames/1/transform_matrix", scaled(1e-4), vec!["transform_matrix", "not rigid", "0.0001"]),
+        ("/frames/1/transform_matrix", scaled(0.0), vec!["transform_matrix", "singular"]),
+        ("/frames/1/transform_matrix", json!([[1, 0], [0, 1]]), vec!["transform_matrix", "[2, 2]", "4 rows"]),
+        ("/frames/1/transform_matrix/3", json!([1, 0, 0, 1]), vec!["transform_matrix", "last row", "[0, 0, 0, 1]"]),
+        ("/frames/1/transform_matrix/0/0", json!("x"), vec!["expected f64"]),
+        ("/frames/1/split", json!("both"), vec!["split is \"both\"", "train"]),
+        ("/frames/1/file_path", json!(""), vec!["file_path names no file"]),
+        ("/frames/1/file_path", json!("hdr/view_0.exr"), vec!["file_path", "\"hdr_view_0\" a second time"]),
+        ("/camera_model", json!("OPENCV_FISHEYE"), vec!["camera_model is OPENCV_FISHEYE", "EQUIRECTANGULAR"]),
+        ("/camera_model", Value::Null, vec!["camera_model is missing"]),
+        ("/w", json!(0), vec!["w is 0"]),
+        ("/h", json!(2.5), vec!["h is 2.5"]),
+        ("/h", Value::Null, vec!["h is missing"]),
+        ("/frames", json!([]), vec!["frames is empty"]),
+    ] {
+        let folder = capture();
+        edit(&folder, |document| *document.pointer_mut(pointer).unwrap() = value.clone());
+        let error = message(&folder);
+        assert_says(&error, &["transforms.json"]);
+        assert_says(&error, &parts);
+    }
+}
+
+#[test]
+fn pinholes_need_their_intrinsics_and_no_distortion() {
+    for (field, value, expected) in [
+        ("k2", json!(0.1), "k2 is 0.1; expected 0, no distortion: undistort"),
+        ("fl_x", json!(-3.0), "fl_x is -3"),
+        ("fl_y", Value::Null, "fl_y is missing"),
+        ("cx", Value::Null, "cx is missing"),
+    ] {
+        let folder = capture();
+        edit(&folder, |document| {
+            document["camera_model"] = json!("OPENCV");
+            document[field] = value.clone();
+        });
+        assert_says(&message(&folder), &["transforms.json", "frames[0] (hdr/view_0.exr)", expected]);
+    }
+}
+
+#[test]
+fn missing_truncated_and_wrongly_sized_images_are_errors() {
+    for (field, file) in [
+        ("file_path", "hdr/view_2.exr"),
+        ("semantic_path", "semantic/view_2.png"),
+        ("mask_path", "mask/view_2.png"),
+        ("room_path", "room/view_2.png"),
+        ("albedo_path", "albedo/view_2.exr"),
+        ("roughness_path", "roughness/view_2.exr"),
+    ] {
+        let folder = capture();
+        let path = folder.path().join(file);
+        if file.ends_with("png") {
+            write_png_labels(&path, &Labels::filled(3, 2, 1)).unwrap();
+        } else {
+            write_gray(&path, &Gray::filled(3, 2, 1.0)).unwrap();
+        }
+        assert_says(&message(&folder), &[file, field, "view_2", "3×2", "expected 4×2"]);
+        std::fs::write(&path, &std::fs::read(&path).unwrap()[..10]).unwrap();
+        assert_says(&message(&folder), &[file, "cannot be read"]);
+        std::fs::remove_file(&path).unwrap();
+        assert_says(&message(&folder), &[file, field, "view_2", "does not exist"]);
+    }
+}
+
+#[test]
+fn pixels_cut_off_behind_a_good_header_are_found_when_read() {
+    let folder = capture();
+    let capture = load_warned(&folder).0.unwrap();
+    let path = &capture.views[1].image;
+    let bytes = std::fs::read(path).unwrap();
+    std::fs::write(path, &bytes[..bytes.len() - 4]).unwrap();
+    assert_says(&capture.views[1].load_image(&Silent).unwrap_err().to_string(), &["view_1.exr", "cannot be read"]);
+}
+
+#[test]
+fn nan_and_negative_pixels_are_zeroed_with_a_warning() {
+    let folder = capture();
+    let capture = load_warned(&folder).0.unwrap();
+    let mut image = Rgb::filled(WIDTH, HEIGHT, [1.0; 3]);
+    image.data[2] = [f32::NAN, 1.0, 1.0];
+    image.data[5] = [1.0, -2.0, 1.0];
+    write_rgb(&capture.views[0].image, &image).unwrap();
+    let warnings = Warnings::default();
+    let read = capture.views[0].load_image(&warnings).unwrap();
+    assert_eq!((read.data[2], read.data[5]), ([0.0, 1.0, 1.0], [1.0, 0.0, 1.0]));
+    assert_says(&warnings.all()[0], &["view_0.exr", "1 pixels were NaN", "1 negative", "taken as 0"]);
+}
+
+#[test]
+fn no_light_is_an_error_and_light_in_one_training_view_is_enough() {
+    let folder = capture();
+    let views = views(folder.path());
+    let black = Rgb::filled(WIDTH, HEIGHT, [0.0, -1.0, f32::NAN]);
+    write_rgb(&views[0].image, &black).unwrap();
+    assert!(load_warned(&folder).0.is_ok());
+    write_rgb(&views[1].image, &black).unwrap();
+    assert_says(&message(&folder), &["transforms.json", "file_path", "all 2 training images are black", "no light"]);
+}
+
+#[test]
+fn a_capture_needs_a_folder_a_mesh_and_a_training_view() {
+    let folder = capture();
+    edit(&folder, |document| {
+        for frame in document["frames"].as_array_mut().unwrap() {
+            frame["split"] = json!("novel");
+        }
+    });
+    assert_says(&message(&folder), &["transforms.json", "split", "none of the 3 views"]);
+
+    let folder = capture();
+    std::fs::remove_file(folder.path().join("mesh.obj")).unwrap();
+    assert_says(&message(&folder), &["has no mesh", "mesh.glb", "--mesh"]);
+    std::fs::remove_file(folder.path().join("transforms.json")).unwrap();
+    assert_says(&message(&folder), &["transforms.json", "cannot be read"]);
+    let error = load(folder.path().join("none"), &LoadOptions::default(), &Silent).unwrap_err().to_string();
+    assert_says(&error, &["none", "is no folder"]);
+}
+
+#[test]
+fn doubtful_atlases_and_poses_are_warned_about() {
+    let folder = capture();
+    let mut overlapping = mesh();
+    for uv in &mut overlapping.uvs[4..] {
+        uv.x -= 0.3;
+    }
+    obj::write(folder.path().join("mesh.obj"), &overlapping).unwrap();
+    let (capture, warnings) = load_warned(&folder);
+    assert!(capture.is_ok());
+    assert_says(&warnings[0], &["mesh.obj", "overlap on", "unwrap"]);
+
+    let mut outside = mesh();
+    outside.uvs[4].x += 0.7;
+    obj::write(folder.path().join("mesh.obj"), &outside).unwrap();
+    let (capture, warnings) = load_warned(&folder);
+    assert!(capture.is_ok());
+    assert!(warnings.iter().any(|w| w.contains("mesh.obj") && w.contains("outside of [0, 1]")), "{warnings:?}");
+
+    obj::write(folder.path().join("mesh.obj"), &mesh()).unwrap();
+    edit(&folder, |document| document["frames"][1]["transform_matrix"][2][3] = json!(7.0));
+    let (capture, warnings) = load_warned(&folder);
+    assert!(capture.is_ok());
+    assert_says(&warnings[0], &["transforms.json", "transform_matrix", "1 of 3 cameras", "view_1", "same frame"]);
+
+    write_rgb(folder.path().join("albedo_tex.exr"), &Rgb::filled(1, 1, [0.5; 3])).unwrap();
+    let (_, warnings) = load_warned(&folder);
+    assert_says(&warnings[1], &["albedo_tex.exr", "needs both"]);
+    write_gray(folder.path().join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
+    assert_says(&message(&folder), &["roughness_tex.exr", "(2, 1)", "expected (1, 1)", "albedo_tex.exr"]);
+}

@@ -1,8 +1,10 @@
 //! Irradiance gather, twin of `irradiance.wgsl`.
 
-use super::trace::{Lighting, Trace};
-use crate::backend::Sampling;
+use super::trace::{Lighting, Trace, TraceHit};
+use crate::backend::{Gather, Gathered};
 use crate::brdf::basis;
+use crate::lights::Lights;
+use crate::mesh::Mesh;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
 use crate::surface::SurfacePoint;
@@ -14,20 +16,70 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
     V3([radius * phi.cos(), radius * phi.sin(), (R::of(1.0) - u).sqrt()])
 }
 
-/// E = π/N Σ L(ω_i): full irradiance, cosine and π included. Item `index` draws from the sequence of `hash2(seed, index)`.
+/// A point on a light, and the triangle it lies on: slot ⌊u·n⌋, whose fraction decides between the two lights, and a
+/// uniform point by the square-root map.
+fn light_point<R: Real>(mesh: &Mesh, lights: &Lights, choice: f32, [u, v]: [f32; 2]) -> (u32, V3<R>) {
+    let scaled = choice * lights.slots.len() as f32;
+    let slot = &lights.slots[(scaled as usize).min(lights.slots.len() - 1)];
+    let triangle = if scaled.fract() < slot.keep { slot.triangle } else { slot.alias };
+    let [a, b, c] = mesh.corners(triangle).map(|p| V3::of(p.to_array()));
+    let root = R::of(f64::from(u)).sqrt();
+    let v = R::of(f64::from(v));
+    (triangle, a * (R::of(1.0) - root) + b * (root * (R::of(1.0) - v)) + c * (root * v))
+}
+
+/// Density, per solid angle, with which the light samples draw the direction of a hit: density per area · t² / |cosθ'|.
+fn light_density<R: Real>(mesh: &Mesh, lights: &Lights, hit: &TraceHit<R>, direction: V3<R>) -> R {
+    let per_area = R::of(f64::from(lights.density[hit.triangle as usize]));
+    let [a, b, c] = mesh.corners(hit.triangle).map(|p| V3::of(p.to_array()));
+    let cosine = (b - a).cross(c - a).normalize().dot(direction).abs();
+    per_area * hit.t * hit.t / cosine.max(R::of(1e-6))
+}
+
+/// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
+/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Sobol sequence of
+/// `hash2(seed, index)`; light sample i is point i of the sequence of that hashed with 1, its slot of that hashed with 2.
 pub fn irradiance<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
+    lights: &Lights,
     point: &SurfacePoint,
     index: u32,
-    sampling: Sampling,
-) -> V3<R> {
-    let normal = V3::of(point.normal);
+    gather: Gather,
+) -> Gathered {
+    let mesh = lighting.tracer.mesh();
+    let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
     let (tangent, bitangent) = basis(normal);
-    let seed = hash2(sampling.seed, index);
-    let mut sum = V3::zero();
-    for i in 0..sampling.samples {
+    let seed = hash2(gather.seed, index);
+    let light_samples = if lights.slots.is_empty() { 0 } else { gather.light };
+    let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));
+    let (mut sum, mut behind) = (V3::zero(), 0u32);
+
+    for i in 0..gather.cosine {
         let V3([x, y, z]) = cosine_direction(sobol2(i, seed));
-        sum = sum + lighting.incoming(V3::of(point.position), tangent * x + bitangent * y + normal * z);
+        let direction = tangent * x + bitangent * y + normal * z;
+        let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
+        behind += u32::from(is_back_face(mesh, &hit, direction));
+        let density =
+            n_cosine * z * R::of(std::f64::consts::FRAC_1_PI) + n_light * light_density(mesh, lights, &hit, direction);
+        sum = sum + lighting.radiance_at(&hit) * (z / density);
     }
-    sum * R::of(std::f64::consts::PI / f64::from(sampling.samples))
+    for i in 0..light_samples {
+        let choice = sobol2(i, hash2(seed, 2))[0];
+        let (triangle, target) = light_point(mesh, lights, choice, sobol2(i, hash2(seed, 1)));
+        let direction = (target - origin).normalize();
+        let cosine = normal.dot(direction);
+        let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
+        if !(cosine > R::of(0.0)) || hit.triangle != triangle {
+            continue;
+        }
+        let density = n_cosine * cosine * R::of(std::f64::consts::FRAC_1_PI)
+            + n_light * light_density(mesh, lights, &hit, direction);
+        sum = sum + lighting.radiance_at(&hit) * (cosine / density);
+    }
+    Gathered { irradiance: sum.to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }
+}
+
+fn is_back_face<R: Real>(mesh: &Mesh, hit: &TraceHit<R>, direction: V3<R>) -> bool {
+    let [a, b, c] = mesh.corners(hit.triangle).map(|p| V3::of(p.to_array()));
+    (b - a).cross(c - a).dot(direction) > R::of(0.0)
 }

@@ -18,11 +18,12 @@ mod tests;
 use rayon::prelude::*;
 
 use crate::backend::{
-    Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient, Sampling, ShadePoint,
-    Shaded,
+    Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
+    Sampling, ShadePoint, Shaded,
 };
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::real::V3;
@@ -38,7 +39,7 @@ const CHUNK: usize = 4096;
 /// The passes on the host, in `f32`: for machines without a Vulkan, Metal or DirectX driver.
 pub struct CpuBackend<'a> {
     scene: &'a Scene,
-    tbl: Option<Rgb>,
+    tbl: Option<(Rgb, Lights)>,
 }
 
 impl<'a> CpuBackend<'a> {
@@ -47,9 +48,10 @@ impl<'a> CpuBackend<'a> {
         Self { scene, tbl: None }
     }
 
-    fn lighting(&self) -> Result<Lighting<'_, Scene>> {
-        let radiance = self.tbl.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))?;
-        Ok(Lighting { tracer: self.scene, radiance })
+    fn lighting(&self) -> Result<(Lighting<'_, Scene>, &Lights)> {
+        let (radiance, lights) =
+            self.tbl.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))?;
+        Ok((Lighting { tracer: self.scene, radiance }, lights))
     }
 }
 
@@ -86,8 +88,8 @@ impl Backend for CpuBackend<'_> {
         format!("CPU, {} threads", rayon::current_num_threads())
     }
 
-    fn set_tbl(&mut self, radiance: &Rgb) -> Result<()> {
-        self.tbl = Some(radiance.clone());
+    fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
+        self.tbl = Some((radiance.clone(), lights.clone()));
         Ok(())
     }
 
@@ -117,12 +119,12 @@ impl Backend for CpuBackend<'_> {
     fn irradiance(
         &mut self,
         points: &[SurfacePoint],
-        sampling: Sampling,
+        gather: Gather,
         progress: &dyn Progress,
-    ) -> Result<Vec<[f32; 3]>> {
-        let lighting = self.lighting()?;
-        map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
-            irradiance::irradiance::<f32, _>(&lighting, point, i as u32, sampling).0
+    ) -> Result<Vec<Gathered>> {
+        let (lighting, lights) = self.lighting()?;
+        map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |i, point| {
+            irradiance::irradiance::<f32, _>(&lighting, lights, point, i as u32, gather)
         })
     }
 
@@ -138,7 +140,7 @@ impl Backend for CpuBackend<'_> {
         gradient: RoughnessGradient,
         progress: &dyn Progress,
     ) -> Result<Vec<Shaded>> {
-        let lighting = self.lighting()?;
+        let (lighting, _) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
             let s = shade::shade(&lighting, point, &MaterialIn::from(&materials[i]), sampling, gradient);
             Shaded {

@@ -101,7 +101,14 @@ impl<T> Lighting<'_, T> {
     where
         T: Trace<R>,
     {
-        let Some(hit) = self.tracer.closest(origin, direction) else { return V3::zero() };
+        self.tracer.closest(origin, direction).map_or(V3::zero(), |hit| self.radiance_at(&hit))
+    }
+
+    /// Outgoing radiance at a hit: the nearest texel.
+    pub fn radiance_at<R: Real>(&self, hit: &TraceHit<R>) -> V3<R>
+    where
+        T: Trace<R>,
+    {
         let [a, b, c] = self.tracer.mesh().corner_uvs(hit.triangle).map(|uv| uv.to_array());
         let w = R::of(1.0) - hit.u - hit.v;
         let uv: [f64; 2] = std::array::from_fn(|i| {

@@ -1,1 +1,168 @@
-//! The fit.
+//! The fit in paper mode: from a capture to albedo and roughness textures, in three stages.
+//!
+//! texture-based lighting → irradiance → rooms → views → stage I → II → III ([`stages`]).
+
+pub mod adam;
+pub mod settings;
+pub mod stages;
+pub mod views;
+
+use std::time::Instant;
+
+use glam::Vec3;
+
+use crate::atlas::Atlas;
+use crate::backend::{Backend, Gather};
+use crate::bake;
+use crate::capture::{Capture, Split, Tbl, View};
+use crate::error::{Error, Result};
+use crate::lights::Lights;
+use crate::progress::Progress;
+use crate::raster::{Gray, Mask, Raster, Rgb};
+use crate::rooms::{self, FloorPlan, RoomOptions};
+use crate::scene::Scene;
+use crate::tbl::{self, TblOptions};
+pub use settings::FitSettings;
+pub use stages::{EpochLog, Stage};
+use stages::{Optimisation, Textures};
+use views::Surroundings;
+
+/// What a fit yields, all in the same atlas.
+#[derive(Clone, Debug)]
+pub struct FitResult {
+    /// Linear albedo.
+    pub albedo: Rgb,
+    /// Perceptual roughness.
+    pub roughness: Gray,
+    /// Irradiance E: cosine included, not divided by π.
+    pub irradiance: Rgb,
+    /// Emitted radiance: the TBL where it is a light source, 0 elsewhere.
+    pub emission: Rgb,
+    /// The texture-based lighting that was used.
+    pub tbl: Tbl,
+    /// The rooms that were found.
+    pub plan: FloorPlan,
+    /// Seconds by step.
+    pub timings: Vec<(String, f64)>,
+}
+
+/// Fits a capture. The backend is the scene's; `log` receives one entry per epoch.
+pub fn fit(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    capture: &Capture,
+    settings: &FitSettings,
+    progress: &dyn Progress,
+    log: &mut dyn FnMut(&EpochLog),
+) -> Result<FitResult> {
+    settings.validate()?;
+    let started = Instant::now();
+    let mut timings = Timings { last: started, entries: Vec::new() };
+
+    let training: Vec<View> = capture.views(Split::Train).cloned().collect();
+    let size = match (settings.atlas_size, &capture.tbl) {
+        (0, Some(tbl)) => tbl.radiance.size(),
+        (0, None) => (DEFAULT_ATLAS, DEFAULT_ATLAS),
+        (size, _) => (size, size),
+    };
+    let tbl = match &capture.tbl {
+        Some(tbl) if tbl.radiance.size() == size => tbl.clone(),
+        _ => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
+    };
+    timings.mark("texture-based lighting");
+
+    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
+    let pyramid = atlas.pyramid();
+    let lights = Lights::find(&scene.mesh, &atlas, &tbl.radiance);
+    backend.set_tbl(&tbl.radiance, &lights)?;
+    let gather = Gather {
+        cosine: settings.irradiance_samples - settings.irradiance_samples / 2,
+        light: settings.irradiance_samples / 2,
+        seed: settings.seed,
+    };
+    let irradiance = bake::irradiance(backend, &atlas, gather, progress)?.irradiance;
+    timings.mark("irradiance");
+
+    let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();
+    let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
+    timings.mark("rooms");
+
+    let emitters = emitters(&tbl.radiance, &irradiance, &atlas, settings.emitter_ratio);
+    let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
+    if emission.data.iter().all(|e| *e == [0.0; 3]) {
+        return Err(Error::invalid(
+            "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
+             Check the exposure of the images, or lower the setting emitter_ratio",
+        ));
+    }
+    let surroundings = Surroundings {
+        scene,
+        atlas: &atlas,
+        pyramid: &pyramid,
+        irradiance: &irradiance,
+        emitters: &emitters,
+        plan: &plan,
+        footprint_samples: settings.footprint_samples,
+        seed: settings.seed,
+    };
+    backend.set_tbl(&emission, &Lights::none(&scene.mesh))?;
+    let views = surroundings.prepare(backend, &training, progress)?;
+    backend.set_tbl(&tbl.radiance, &lights)?;
+    timings.mark("views");
+
+    let texels = size.0 * size.1;
+    let mut textures = Textures {
+        albedo: vec![settings.parameters.albedo_start; 3 * texels],
+        roughness: vec![settings.parameters.roughness_start; texels],
+    };
+    let mut stage_log = |entry: &EpochLog| log(entry);
+    Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log: &mut stage_log, started }
+        .run(&mut textures)?;
+    timings.mark("stages I to III");
+
+    Ok(FitResult {
+        albedo: Raster::new(size.0, size.1, textures.albedo.as_chunks::<3>().0.to_vec())?,
+        roughness: Raster::new(size.0, size.1, textures.roughness)?,
+        irradiance,
+        emission,
+        tbl,
+        plan,
+        timings: timings.entries,
+    })
+}
+
+/// Atlas side when neither the settings nor an HDR texture say.
+const DEFAULT_ATLAS: usize = 1024;
+
+/// Light sources: texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
+/// that stand out from the scene, L > ratio · mean L; in luminance (Rec. 709).
+pub fn emitters(radiance: &Rgb, irradiance: &Rgb, atlas: &Atlas, ratio: f32) -> Mask {
+    let luminance = |c: &[f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+    let mean =
+        atlas.texels.iter().map(|&t| luminance(&radiance.data[t as usize])).sum::<f32>() / atlas.texels.len() as f32;
+    let bright =
+        |l: &[f32; 3], e: &[f32; 3]| luminance(l) > ratio * (luminance(e) * std::f32::consts::FRAC_1_PI).max(mean);
+    let mut mask = Mask::filled(radiance.width, radiance.height, false);
+    for &t in &atlas.texels {
+        mask.data[t as usize] = bright(&radiance.data[t as usize], &irradiance.data[t as usize]);
+    }
+    mask
+}
+
+fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {
+    values.iter().zip(mask).map(|(&v, &m)| if m { v } else { [0.0; 3] }).collect()
+}
+
+/// A stopwatch that names its laps.
+struct Timings {
+    last: Instant,
+    entries: Vec<(String, f64)>,
+}
+
+impl Timings {
+    fn mark(&mut self, what: &str) {
+        let now = Instant::now();
+        self.entries.push((what.to_owned(), (now - self.last).as_secs_f64()));
+        self.last = now;
+    }
+}

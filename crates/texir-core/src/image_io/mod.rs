@@ -214,13 +214,13 @@ pub fn sanitise_radiance(image: &mut Rgb) -> Sanitised {
     found
 }
 
-/// The sRGB transfer function (IEC 61966-2-1): linear [0, 1] to encoded [0, 1]; values outside are clipped, NaN is 0.
+/// The sRGB transfer function (IEC 61966-2-1): linear [0, 1] to encoded [0, 1]; values outside are clipped.
 pub fn srgb_from_linear(v: f32) -> f32 {
-    let v = v.max(0.0).min(1.0);
+    let v = v.clamp(0.0, 1.0);
     if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// Encodes linear RGB in [0, 1] as 8-bit sRGB.
+/// Encodes linear RGB in [0, 1] as 8-bit sRGB; NaN becomes 0.
 pub fn encode_srgb(linear: &Rgb) -> Raster<[u8; 3]> {
     linear.map(|rgb| rgb.map(|v| (srgb_from_linear(v) * 255.0).round() as u8))
 }

@@ -49,7 +49,7 @@ pub fn atlas_report(mesh: &Mesh, size: usize) -> AtlasReport {
 fn for_texel_centres(uvs: [Vec2; 3], size: usize, mut visit: impl FnMut(usize, bool)) {
     let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * size as f64);
     let area = (b - a).perp_dot(c - a);
-    if !(area.abs() > 0.0) {
+    if area == 0.0 {
         return;
     }
     let (low, high) = (a.min(b).min(c), a.max(b).max(c));

@@ -149,7 +149,7 @@ fn read_gltf(mirrored: bool, tamper: impl FnOnce(&mut serde_json::Value)) -> Res
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
         "nodes": [{"translation": [0.0, 0.0, 1.0], "children": [1]}, {"mesh": 0, "scale": [x, 1.0, 1.0]}],
         "meshes": [{"primitives": [
-            {"attributes": attributes, "indices": 3},
+            {"attributes": attributes, "indices": 3, "mode": 4},
             {"attributes": attributes, "indices": 4},
             {"attributes": {"POSITION": 0}, "mode": 0}
         ]}],

@@ -1,0 +1,184 @@
+//! The command line's arguments. `--config` gives defaults; what is typed wins.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Parser, ValueEnum};
+use serde::{Deserialize, Serialize};
+use texir_core::backend::Sampling;
+use texir_core::fit::FitSettings;
+use toml::{Table, Value};
+
+use crate::cmd::Command;
+use crate::failure::Failure;
+
+/// Materials and light from posed HDR images of a scanned scene.
+#[derive(Debug, Parser)]
+#[command(name = "texir", version, propagate_version = true, max_term_width = 100)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: Common,
+}
+
+/// Options of every command.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Common options")]
+pub struct Common {
+    /// Where the passes run; `auto` takes a GPU where there is one [default: auto]
+    #[arg(long, global = true, value_enum)]
+    pub backend: Option<BackendChoice>,
+    /// Use the GPU adapter whose name contains NAME
+    #[arg(long, global = true, value_name = "NAME")]
+    pub adapter: Option<String>,
+    /// Seed of everything random; the same seed gives the same result on the same adapter [default: 0]
+    #[arg(long, global = true, value_name = "N")]
+    pub seed: Option<u32>,
+    /// Take settings from a TOML file, such as the settings.toml of an earlier fit
+    #[arg(long, global = true, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Change one setting of the file, such as fit.stage_two.enabled=false
+    #[arg(long = "set", global = true, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Say more
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+    /// Say only what went wrong
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Print results as JSON on standard output
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// Where the passes run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BackendChoice {
+    /// A GPU where there is one, otherwise the CPU.
+    #[default]
+    Auto,
+    /// A GPU (a software adapter such as lavapipe counts), or an error.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+/// A `--config` file, and what `settings.toml` holds.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Where the passes run.
+    pub backend: BackendChoice,
+    /// Part of the GPU adapter's name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+    /// The fit, and the seed of everything random.
+    pub fit: FitSettings,
+}
+
+impl Config {
+    /// The file's settings, where one is given, under the typed ones.
+    pub fn resolve(common: &Common) -> Result<Self, Failure> {
+        let mut table = common.config.as_deref().map(read).transpose()?.unwrap_or_default();
+        for assignment in &common.set {
+            let change: Table = assignment.parse().map_err(|_| {
+                Failure::new(format!("--set {assignment}: expected KEY=VALUE, the value as TOML has it"))
+            })?;
+            merge(&mut table, change);
+        }
+        let file: Self = table.try_into().map_err(|e| {
+            let from = common.config.as_ref().map_or("--set".to_owned(), |path| path.display().to_string());
+            Failure::new(format!("{from}: {e}"))
+                .help("every fit writes its settings to settings.toml, which is a complete example")
+        })?;
+        let seed = common.seed.unwrap_or(file.fit.seed);
+        let config = Self {
+            backend: common.backend.unwrap_or(file.backend),
+            adapter: common.adapter.clone().or(file.adapter),
+            fit: FitSettings { seed, ..file.fit },
+        };
+        if let (BackendChoice::Cpu, Some(adapter)) = (config.backend, &config.adapter) {
+            return Err(Failure::new(format!("adapter \"{adapter}\" is a GPU's, but the backend is `cpu`"))
+                .help("leave out --adapter, or use --backend gpu"));
+        }
+        Ok(config)
+    }
+
+    /// `samples` from the run's seed.
+    pub fn sampling(&self, samples: u32) -> Sampling {
+        Sampling { samples, seed: self.fit.seed }
+    }
+}
+
+fn read(path: &Path) -> Result<Table, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+    text.parse().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}
+
+/// Puts `change` into `table`, joining tables of one name.
+fn merge(table: &mut Table, change: Table) {
+    for (key, value) in change {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(change)) => merge(inner, change),
+            (_, value) => drop(table.insert(key, value)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    fn common(arguments: &[&str]) -> Common {
+        let line = ["texir"].iter().chain(arguments).chain(&["inspect", "capture"]);
+        Cli::try_parse_from(line).unwrap().common
+    }
+
+    #[test]
+    fn arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn typed_options_win_over_the_file() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "backend = \"cpu\"\n[fit]\nseed = 7\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let config = Config::resolve(&common(&["--config", path])).unwrap();
+        assert_eq!((config.fit.seed, config.backend), (7, BackendChoice::Cpu));
+        let config = Config::resolve(&common(&["--config", path, "--seed", "9"])).unwrap();
+        assert_eq!((config.fit.seed, config.backend), (9, BackendChoice::Cpu));
+    }
+
+    #[test]
+    fn single_settings_change() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[fit.stage_two]\nquantile = 0.3\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let config = Config::resolve(&common(&["--config", path, "--set", "fit.stage_two.enabled=false"])).unwrap();
+        assert_eq!((config.fit.stage_two.enabled, config.fit.stage_two.quantile), (false, 0.3));
+        assert!(Config::resolve(&common(&["--set", "fit.stage_two"])).is_err());
+        assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
+    }
+
+    #[test]
+    fn mistakes_name_the_file_and_the_field() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[fit]\nsede = 7\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let error = Config::resolve(&common(&["--config", path])).unwrap_err().to_string();
+        assert!(error.contains(path) && error.contains("sede"), "{error}");
+        assert!(Config::resolve(&common(&["--backend", "cpu", "--adapter", "llvmpipe"])).is_err());
+    }
+
+    #[test]
+    fn a_written_configuration_reads_back() {
+        let config = Config { fit: FitSettings { seed: 3, ..FitSettings::default() }, ..Config::default() };
+        let text = toml::to_string_pretty(&config).unwrap();
+        assert_eq!(toml::from_str::<Config>(&text).unwrap().fit, config.fit);
+    }
+}

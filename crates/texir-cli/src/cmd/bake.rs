@@ -1,0 +1,122 @@
+//! `texir bake`: irradiance at every texel of the atlas.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+use texir_core::atlas::Atlas;
+use texir_core::backend::{Backend, Gather};
+use texir_core::bake;
+use texir_core::capture::{self, LoadOptions};
+use texir_core::image_io::write_rgb;
+use texir_core::lights::Lights;
+use texir_core::mesh_io::read_mesh;
+use texir_core::progress::Progress;
+use texir_core::raster::Rgb;
+use texir_core::scene::Scene;
+
+use super::{Session, tbl};
+use crate::device;
+use crate::failure::Failure;
+
+/// Arguments of `texir bake`.
+#[derive(Debug, Args)]
+pub struct Bake {
+    /// Capture folder, or a mesh file together with --tbl
+    input: PathBuf,
+    /// HDR texture: the radiance that leaves every texel of the mesh
+    #[arg(long, value_name = "FILE")]
+    tbl: Option<PathBuf>,
+    /// Irradiance map, OpenEXR: ∫ L cosθ dω in full, not divided by π
+    #[arg(short, long, value_name = "FILE", default_value = "irradiance.exr")]
+    output: PathBuf,
+    /// Side of the map, texels [default: the HDR texture's]
+    #[arg(long, value_name = "N")]
+    size: Option<usize>,
+    /// Rays per texel: half of them cosine-distributed, half towards the light sources
+    #[arg(long, value_name = "N", default_value_t = 1024)]
+    spp: u32,
+    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them
+    #[arg(long)]
+    cosine_only: bool,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary {
+    output: PathBuf,
+    width: usize,
+    height: usize,
+    texels: usize,
+    /// Texels inside other geometry, which took a neighbour's value.
+    buried: usize,
+    rays: u64,
+}
+
+impl Bake {
+    /// Bakes and writes the map.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        if self.size == Some(0) || self.spp == 0 {
+            return Err(Failure::new("--size and --spp must be at least 1"));
+        }
+        let (scene, given) = self.load(session)?;
+        let mut backend = device::open(&scene, session.config, session.console)?;
+        let radiance = match given {
+            Light::Texture(radiance) => radiance,
+            Light::Views(capture) => {
+                let size = self.size.unwrap_or(tbl::DEFAULT_SIZE);
+                tbl::build(backend.as_mut(), &scene, &capture, size, session)?.radiance
+            }
+        };
+        let (width, height) = self.size.map_or(radiance.size(), |side| (side, side));
+        let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
+        let lights = self.lights(backend.as_mut(), &scene, &radiance)?;
+        backend.set_tbl(&radiance, &lights)?;
+        let light = if self.cosine_only { 0 } else { self.spp / 2 };
+        let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
+        let baked = bake::irradiance(backend.as_mut(), &atlas, gather, session.console)?;
+        write_rgb(&self.output, &baked.irradiance)?;
+        let texels = atlas.texels.len();
+        let rays = texels as u64 * u64::from(self.spp);
+        let summary = Summary { output: self.output.clone(), width, height, texels, buried: baked.buried, rays };
+        session.print(&summary, || format!("{}: {width} × {height}, {texels} texels", summary.output.display()))
+    }
+
+    /// The light sources that rays are sent to.
+    fn lights(&self, backend: &mut dyn Backend, scene: &Scene, radiance: &Rgb) -> Result<Lights, Failure> {
+        if self.cosine_only {
+            return Ok(Lights::none(&scene.mesh));
+        }
+        let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
+        Ok(Lights::find(&scene.mesh, &atlas, radiance))
+    }
+
+    fn load(&self, session: &Session<'_>) -> Result<(Scene, Light), Failure> {
+        if self.input.is_dir() {
+            let options = LoadOptions { mesh: None, tbl: self.tbl.clone() };
+            let mut capture = capture::load(&self.input, &options, session.console)?;
+            let scene = Scene::new(capture.mesh.clone())?;
+            let light = match capture.tbl.take() {
+                Some(tbl) => Light::Texture(tbl.radiance),
+                None => Light::Views(capture),
+            };
+            return Ok((scene, light));
+        }
+        let Some(texture) = &self.tbl else {
+            return Err(Failure::new(format!("{}: a mesh alone has no light to gather", self.input.display()))
+                .help("add --tbl hdr_texture.exr, or give a capture folder"));
+        };
+        let file = read_mesh(&self.input)?;
+        file.warnings.iter().for_each(|warning| session.console.warn(warning));
+        let tbl = capture::Tbl::read(texture, session.console)?;
+        Ok((Scene::new(file.mesh)?, Light::Texture(tbl.radiance)))
+    }
+}
+
+/// Where the light comes from.
+enum Light {
+    /// A given HDR texture.
+    Texture(Rgb),
+    /// The HDR texture is to be built from the views.
+    Views(capture::Capture),
+}

@@ -1,0 +1,81 @@
+//! `texir eval`: the figures of a fit, beside those of true materials.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use texir_core::atomic_file::write_atomic;
+use texir_core::capture::{self, Capture, LoadOptions};
+use texir_core::eval::{Evaluated, Evaluation, evaluate};
+use texir_core::lights::Lights;
+use texir_core::outputs::{FitOutput, METRICS, RUN, Run};
+use texir_core::render::Renderer;
+use texir_core::scene::Scene;
+
+use super::Session;
+use crate::device;
+use crate::failure::{Context, Failure};
+use crate::figures;
+
+/// Specular samples per pixel of the protocol.
+pub const SAMPLES: u32 = 256;
+
+/// Arguments of `texir eval`.
+#[derive(Debug, Args)]
+pub struct Eval {
+    /// Output folder of `texir fit`
+    out: PathBuf,
+    /// Capture with the truth [default: the one that was fitted]
+    #[arg(long, value_name = "DIR")]
+    capture: Option<PathBuf>,
+    /// Specular samples per pixel
+    #[arg(long, default_value_t = SAMPLES, value_name = "N")]
+    spp: u32,
+}
+
+impl Eval {
+    /// Evaluates, writes `metrics.json`, prints the table.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let output = FitOutput::load(&self.out, session.console)?;
+        let capture = load_capture(&self.out, self.capture.as_deref(), session)?;
+        let evaluation = of_output(&output, &capture, self.spp, session, &mut |_| ())?;
+        write_metrics(&self.out, &evaluation)?;
+        session.print(&evaluation, || figures::text(&evaluation))
+    }
+}
+
+/// Evaluates a fit's output; `show` sees every view.
+pub fn of_output(
+    output: &FitOutput,
+    capture: &Capture,
+    samples: u32,
+    session: &Session<'_>,
+    show: &mut dyn FnMut(&Evaluated<'_>),
+) -> Result<Evaluation, Failure> {
+    let scene = Scene::new(output.mesh.clone())?;
+    let mut backend = device::open(&scene, session.config, session.console)?;
+    backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
+    let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(samples));
+    Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
+}
+
+/// The given capture, or the one that `out` was fitted to.
+pub fn load_capture(out: &Path, given: Option<&Path>, session: &Session<'_>) -> Result<Capture, Failure> {
+    let folder = match given {
+        Some(folder) => folder.to_owned(),
+        None => read_run(out).map_err(|failure| failure.help("name the capture with --capture"))?.capture,
+    };
+    capture::load(&folder, &LoadOptions::default(), session.console)
+        .context(format!("the capture {} could not be read", folder.display()))
+}
+
+/// How the fit in `out` came about.
+pub fn read_run(out: &Path) -> Result<Run, Failure> {
+    let path = out.join(RUN);
+    let text = std::fs::read_to_string(&path).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+    serde_json::from_str(&text).map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}
+
+/// Writes `metrics.json`.
+pub fn write_metrics(out: &Path, evaluation: &Evaluation) -> Result<(), Failure> {
+    Ok(write_atomic(out.join(METRICS), |sink| serde_json::to_writer_pretty(sink, evaluation))?)
+}

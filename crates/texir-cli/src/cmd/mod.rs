@@ -1,0 +1,121 @@
+//! One file per command, each thin: arguments → library → what the user is told.
+
+mod bake;
+mod demo;
+mod eval;
+mod fit;
+mod inspect;
+mod render;
+mod report;
+mod tbl;
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use serde::Serialize;
+use texir_core::capture::{self, Capture, LoadOptions, Split};
+use texir_core::render::Textures;
+
+use crate::args::Config;
+use crate::console::Console;
+use crate::failure::Failure;
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Make a synthetic flat, path-trace it and fit it: everything at once, without any input
+    Demo(demo::Demo),
+    /// Dry run: what is found in a capture and assumed of it, checks of cameras and atlas, cost of a fit
+    Inspect(inspect::Inspect),
+    /// Build the HDR texture (texture-based lighting) of a capture from its views
+    Tbl(tbl::Tbl),
+    /// Bake irradiance: what light arrives at every texel of the atlas
+    Bake(bake::Bake),
+    /// Fit materials to a capture: albedo, roughness, irradiance, a GLB, figures and a report
+    Fit(fit::Fit),
+    /// Render the result of a fit from other cameras
+    Render(render::Render),
+    /// Compare the result of a fit with the truth, beside what true materials would reach
+    Eval(eval::Eval),
+    /// Write one self-contained HTML page about a fit
+    Report(report::Report),
+}
+
+/// What every command gets.
+pub struct Session<'a> {
+    /// Settings: the file's, under the typed ones.
+    pub config: &'a Config,
+    /// Where progress is shown.
+    pub console: &'a Console,
+    /// Results are printed as JSON.
+    pub json: bool,
+}
+
+impl Session<'_> {
+    /// Prints a result on standard output.
+    fn print(&self, result: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+        let text = if self.json {
+            serde_json::to_string_pretty(result)
+                .map_err(|e| Failure::new(format!("the result has no JSON form: {e}")))?
+        } else {
+            text()
+        };
+        println!("{text}");
+        Ok(())
+    }
+}
+
+/// Runs a command.
+pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
+    match command {
+        Command::Demo(command) => command.run(session),
+        Command::Inspect(command) => command.run(session),
+        Command::Tbl(command) => command.run(session),
+        Command::Bake(command) => command.run(session),
+        Command::Fit(command) => command.run(session),
+        Command::Render(command) => command.run(session),
+        Command::Eval(command) => command.run(session),
+        Command::Report(command) => command.run(session),
+    }
+}
+
+/// A capture folder, and what overrides its content.
+#[derive(Clone, Debug, Args)]
+pub struct CaptureArgs {
+    /// Capture folder: transforms.json, mesh.obj, .glb or .ply, HDR images
+    capture: PathBuf,
+    /// Use this mesh instead of the folder's
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Use this HDR texture instead of the folder's
+    #[arg(long, value_name = "FILE")]
+    tbl: Option<PathBuf>,
+}
+
+impl CaptureArgs {
+    fn load(&self, session: &Session<'_>) -> Result<Capture, Failure> {
+        let options = LoadOptions { mesh: self.mesh.clone(), tbl: self.tbl.clone() };
+        Ok(capture::load(&self.capture, &options, session.console)?)
+    }
+}
+
+/// A capture in a line.
+fn describe(capture: &Capture) -> String {
+    let of = |split| capture.views(split).count();
+    let sizes: Vec<(usize, usize)> = capture.views.iter().map(|v| (v.camera.width, v.camera.height)).collect();
+    let size = match sizes.first() {
+        Some(first) if sizes.iter().all(|s| s == first) => format!("{} × {}", first.0, first.1),
+        _ => "mixed sizes".to_owned(),
+    };
+    format!(
+        "{} training and {} novel views of {size}, {} triangles",
+        of(Split::Train),
+        of(Split::Novel),
+        capture.mesh.triangles.len()
+    )
+}
+
+/// A fit's result in a line.
+fn describe_textures(textures: &Textures) -> String {
+    format!("a {} × {} atlas", textures.albedo.width, textures.albedo.height)
+}

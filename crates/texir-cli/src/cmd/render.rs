@@ -1,0 +1,69 @@
+//! `texir render`: views of a fit's result from other cameras.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+use texir_core::capture::load_cameras;
+use texir_core::image_io::{encode_srgb, write_png_rgb, write_rgb};
+use texir_core::lights::Lights;
+use texir_core::outputs::FitOutput;
+use texir_core::progress::Progress;
+use texir_core::render::Renderer;
+use texir_core::scene::Scene;
+
+use super::{Session, eval};
+use crate::device;
+use crate::failure::Failure;
+
+/// Arguments of `texir render`.
+#[derive(Debug, Args)]
+pub struct Render {
+    /// Output folder of `texir fit`
+    out: PathBuf,
+    /// Cameras, equirectangular or pinhole, as nerfstudio's transforms.json; its images need not exist
+    #[arg(long, value_name = "FILE")]
+    cameras: PathBuf,
+    /// Folder for one EXR (linear radiance) and one PNG (sRGB preview) per camera
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Specular samples per pixel
+    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N")]
+    spp: u32,
+    /// Brightness of the previews, in stops
+    #[arg(long, default_value_t = 0.0, value_name = "EV", allow_negative_numbers = true)]
+    exposure: f32,
+}
+
+/// One rendered view, as `--json` prints it.
+#[derive(Serialize)]
+struct Rendered {
+    name: String,
+    exr: PathBuf,
+    png: PathBuf,
+}
+
+impl Render {
+    /// Renders every camera.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let views = load_cameras(&self.cameras)?;
+        let output = FitOutput::load(&self.out, session.console)?;
+        let scene = Scene::new(output.mesh)?;
+        let mut backend = device::open(&scene, session.config, session.console)?;
+        backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
+        let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(self.spp));
+        let gain = self.exposure.exp2();
+        let mut written = Vec::with_capacity(views.len());
+        session.console.start("rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");
+        for view in &views {
+            let radiance = renderer.render(&view.camera, &output.textures, session.console)?;
+            let file = |extension: &str| self.output.join(format!("{}.{extension}", view.name));
+            let (exr, png) = (file("exr"), file("png"));
+            write_rgb(&exr, &radiance)?;
+            write_png_rgb(&png, &encode_srgb(&radiance.map(|p| p.map(|c| c * gain))))?;
+            written.push(Rendered { name: view.name.clone(), exr, png });
+        }
+        session.console.finish();
+        session.print(&written, || format!("{} views in {}", written.len(), self.output.display()))
+    }
+}

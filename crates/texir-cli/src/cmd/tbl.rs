@@ -1,0 +1,75 @@
+//! `texir tbl`: the HDR texture of a capture.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+use texir_core::backend::Backend;
+use texir_core::capture::{self, Capture, Coverage, Split, View};
+use texir_core::scene::Scene;
+use texir_core::tbl::{self, TblOptions};
+
+use super::{CaptureArgs, Session};
+use crate::device;
+use crate::failure::Failure;
+
+/// Side of the atlas when nothing says otherwise, texels.
+pub const DEFAULT_SIZE: usize = 1024;
+
+/// Arguments of `texir tbl`.
+#[derive(Debug, Args)]
+pub struct Tbl {
+    #[command(flatten)]
+    capture: CaptureArgs,
+    /// The HDR texture; its coverage mask goes beside it, as <name>_mask.png
+    #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
+    output: PathBuf,
+    /// Side of the texture, texels
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_SIZE)]
+    size: usize,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary {
+    output: PathBuf,
+    width: usize,
+    height: usize,
+    seen: usize,
+    inpainted: usize,
+}
+
+impl Tbl {
+    /// Builds and writes the texture.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let capture = self.capture.load(session)?;
+        let scene = Scene::new(capture.mesh.clone())?;
+        let mut backend = device::open(&scene, session.config, session.console)?;
+        let texture = build(backend.as_mut(), &scene, &capture, self.size, session)?;
+        texture.write(&self.output)?;
+        let count = |coverage| texture.coverage.data.iter().filter(|c| **c == coverage).count();
+        let summary = Summary {
+            output: self.output.clone(),
+            width: texture.radiance.width,
+            height: texture.radiance.height,
+            seen: count(Coverage::Seen),
+            inpainted: count(Coverage::Inpainted),
+        };
+        session.print(&summary, || {
+            let share = 100.0 * summary.seen as f64 / (summary.seen + summary.inpainted).max(1) as f64;
+            format!("{}: {share:.1} % of the surface was seen, the rest is inpainted", summary.output.display())
+        })
+    }
+}
+
+/// The texture-based lighting of a capture's training views.
+pub fn build(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    capture: &Capture,
+    size: usize,
+    session: &Session<'_>,
+) -> Result<capture::Tbl, Failure> {
+    let views: Vec<View> = capture.views(Split::Train).cloned().collect();
+    Ok(tbl::build(backend, scene, &views, (size, size), &TblOptions::default(), session.console)?)
+}

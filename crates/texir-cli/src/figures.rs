@@ -1,0 +1,51 @@
+//! The rows in which an evaluation is shown, on the terminal and in the report.
+
+use texir_core::eval::{Evaluation, Score, Table};
+
+/// A row of figures.
+pub struct Figure {
+    /// What is compared.
+    pub name: &'static str,
+    /// A side note to the protocol's own rows.
+    pub minor: bool,
+    /// Where it is found.
+    pub of: fn(&Table) -> Option<Score>,
+}
+
+const fn row(name: &'static str, minor: bool, of: fn(&Table) -> Option<Score>) -> Figure {
+    Figure { name, minor, of }
+}
+
+/// All rows, top to bottom.
+pub const FIGURES: [Figure; 7] = [
+    row("Albedo, one scale per image", false, |t| t.train.albedo.map(|a| a.per_image)),
+    row("Albedo, one scale for all views", true, |t| t.train.albedo.map(|a| a.global)),
+    row("Roughness", false, |t| t.train.roughness),
+    row("Re-rendering", false, |t| t.train.image),
+    row("Novel views", false, |t| t.novel.image),
+    row("Albedo in novel views", true, |t| t.novel.albedo.map(|a| a.per_image)),
+    row("Roughness in novel views", true, |t| t.novel.roughness),
+];
+
+/// The table as text: the result, and beside it the ceiling where it is known.
+pub fn text(evaluation: &Evaluation) -> String {
+    let ceiling = evaluation.ceiling.as_ref();
+    let head = "   PSNR    SSIM     MSE";
+    let mut lines = vec![format!("{:<32}{head}{}", "", if ceiling.is_some() { "  |" } else { "" })];
+    if ceiling.is_some() {
+        lines[0] += &format!("{head}  (true materials, same light)");
+    }
+    let figures = |s: Score| format!("{:>7.2}{:>8.4}{:>8.4}", s.psnr, s.ssim, s.mse);
+    for figure in &FIGURES {
+        let Some(score) = (figure.of)(&evaluation.result) else { continue };
+        let mut line = format!("{:<32}{}", figure.name, figures(score));
+        if let Some(score) = ceiling.and_then(figure.of) {
+            line += &format!("  |{}", figures(score));
+        }
+        lines.push(line);
+    }
+    if ceiling.is_none() {
+        lines.push("The capture has no true textures: no ceiling is known.".to_owned());
+    }
+    lines.join("\n")
+}

@@ -1,0 +1,196 @@
+//! Every weight and switch of the fit by name, as one TOML file.
+
+use serde::{Deserialize, Serialize};
+
+use crate::backend::RoughnessGradient;
+use crate::error::{Error, Result};
+
+/// Settings of the fit in paper mode; the defaults are the paper's where it states them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FitSettings {
+    /// Seed of every random choice.
+    pub seed: u32,
+    /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size.
+    pub atlas_size: usize,
+    /// Cosine-distributed rays per texel of the irradiance bake.
+    pub irradiance_samples: u32,
+    /// Specular samples per pixel and step.
+    pub specular_samples: u32,
+    /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect: L > ratio · E/π.
+    pub emitter_ratio: f32,
+    /// Which roughness gradient the adjoint uses.
+    pub gradient: RoughnessGradient,
+    /// Sub-pixel footprints per pixel and axis: the images are box-filtered, so a pixel sees more than its centre.
+    pub footprint_samples: usize,
+    /// Adam and its schedule.
+    pub optimiser: OptimiserSettings,
+    /// Where the parameters start and may go.
+    pub parameters: ParameterSettings,
+    /// Stage I: albedo under diffuse lighting.
+    pub stage_one: StageOneSettings,
+    /// Stage II: roughness at virtual highlights, propagated within the class.
+    pub stage_two: StageTwoSettings,
+    /// Stage III: albedo and roughness together.
+    pub stage_three: StageThreeSettings,
+}
+
+/// Adam and its schedule.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimiserSettings {
+    /// Step size of the first epochs.
+    pub learning_rate: f32,
+    /// Factor on the step size every `decay_epochs`.
+    pub decay: f32,
+    /// Epochs between two decays.
+    pub decay_epochs: u32,
+    /// Passes over the views, per stage.
+    pub epochs: u32,
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second moment.
+    pub beta2: f32,
+    /// Added to the root of the second moment. Losses are means over a view's pixels, so gradients per texel are of the
+    /// order 1e-6: an ε that is small against image gradients is not small against these.
+    pub epsilon: f32,
+}
+
+/// Where the parameters start and may go.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ParameterSettings {
+    /// Initial albedo.
+    pub albedo_start: f32,
+    /// Initial roughness.
+    pub roughness_start: f32,
+    /// Smallest and largest albedo.
+    pub albedo_range: [f32; 2],
+    /// Smallest and largest roughness.
+    pub roughness_range: [f32; 2],
+}
+
+/// Stage I: mean|T(aE/π) − T(I)| + weight · mean|a − mean_class(a)|.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StageOneSettings {
+    /// Run this stage.
+    pub enabled: bool,
+    /// β_ssa. The authors' code weighs a mean over 49 classes with 20.
+    pub semantic_weight: f32,
+}
+
+/// Stage II: mean over virtual-highlight pixels of |T(L_o) − T(I)| + weight · mean|r − Q_q(r on them in the class)|.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StageTwoSettings {
+    /// Run this stage.
+    pub enabled: bool,
+    /// β_sp.
+    pub propagation_weight: f32,
+    /// q: which quantile of the class's virtual-highlight roughness the rest of the class follows.
+    pub quantile: f32,
+}
+
+/// Stage III: mean|T(L_o) − T(I)| + weight · mean|r − mean_(class ∧ room)(r)|.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StageThreeSettings {
+    /// Run this stage.
+    pub enabled: bool,
+    /// β_ssr.
+    pub smoothness_weight: f32,
+}
+
+impl Default for FitSettings {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            atlas_size: 0,
+            irradiance_samples: 512,
+            specular_samples: 16,
+            emitter_ratio: 2.0,
+            gradient: RoughnessGradient::Exact,
+            footprint_samples: 2,
+            optimiser: OptimiserSettings::default(),
+            parameters: ParameterSettings::default(),
+            stage_one: StageOneSettings::default(),
+            stage_two: StageTwoSettings::default(),
+            stage_three: StageThreeSettings::default(),
+        }
+    }
+}
+
+impl Default for OptimiserSettings {
+    fn default() -> Self {
+        Self { learning_rate: 3e-2, decay: 0.8, decay_epochs: 20, epochs: 41, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
+    }
+}
+
+impl Default for ParameterSettings {
+    fn default() -> Self {
+        Self {
+            albedo_start: 0.5,
+            roughness_start: 0.1,
+            albedo_range: [0.0, f32::INFINITY],
+            roughness_range: [0.01, 0.8],
+        }
+    }
+}
+
+impl Default for StageOneSettings {
+    fn default() -> Self {
+        Self { enabled: true, semantic_weight: 20.0 / 49.0 }
+    }
+}
+
+impl Default for StageTwoSettings {
+    fn default() -> Self {
+        Self { enabled: true, propagation_weight: 0.2, quantile: 0.4 }
+    }
+}
+
+impl Default for StageThreeSettings {
+    fn default() -> Self {
+        Self { enabled: true, smoothness_weight: 0.2 }
+    }
+}
+
+impl FitSettings {
+    /// Checks every value; the error names the setting, its value and what is allowed.
+    pub fn validate(&self) -> Result<()> {
+        let p = &self.parameters;
+        let o = &self.optimiser;
+        let checks: [(&str, f32, bool, &str); 13] = [
+            ("irradiance_samples", self.irradiance_samples as f32, self.irradiance_samples > 0, "at least 1"),
+            ("specular_samples", self.specular_samples as f32, self.specular_samples > 0, "at least 1"),
+            ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),
+            ("emitter_ratio", self.emitter_ratio, self.emitter_ratio > 0.0, "above 0"),
+            ("optimiser.learning_rate", o.learning_rate, o.learning_rate > 0.0, "above 0"),
+            ("optimiser.decay", o.decay, o.decay > 0.0 && o.decay <= 1.0, "in (0, 1]"),
+            ("optimiser.decay_epochs", o.decay_epochs as f32, o.decay_epochs > 0, "at least 1"),
+            ("optimiser.beta1", o.beta1, (0.0..1.0).contains(&o.beta1), "in [0, 1)"),
+            ("optimiser.beta2", o.beta2, (0.0..1.0).contains(&o.beta2), "in [0, 1)"),
+            ("optimiser.epsilon", o.epsilon, o.epsilon > 0.0, "above 0"),
+            ("parameters.roughness_range[0]", p.roughness_range[0], p.roughness_range[0] >= 0.005, "at least 0.005"),
+            (
+                "parameters.roughness_range[1]",
+                p.roughness_range[1],
+                p.roughness_range[1] > p.roughness_range[0] && p.roughness_range[1] <= 1.0,
+                "above the lower bound, at most 1",
+            ),
+            (
+                "stage_two.quantile",
+                self.stage_two.quantile,
+                (0.0..=1.0).contains(&self.stage_two.quantile),
+                "in [0, 1]",
+            ),
+        ];
+        match checks.iter().find(|(_, _, ok, _)| !ok) {
+            Some((name, value, _, allowed)) => {
+                Err(Error::invalid(format!("setting {name} is {value}; it must be {allowed}")))
+            }
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! What a stage needs of each training view, prepared once: shading points, footprints, targets and pixel groups.
+
+use std::collections::BTreeMap;
+
+use glam::Vec3;
+
+use crate::atlas::Atlas;
+use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, ShadePoint};
+use crate::capture::{Split, View};
+use crate::error::Result;
+use crate::progress::{Progress, Silent};
+use crate::raster::{Mask, Rgb};
+use crate::rng::hash2;
+use crate::rooms::FloorPlan;
+use crate::scene::Scene;
+use crate::surface::Hit;
+use crate::texture::{Footprints, Pyramid};
+
+/// Roughness and samples of the virtual-highlight render (method section 3).
+const HIGHLIGHT_ROUGHNESS: f32 = 0.01;
+const HIGHLIGHT_SAMPLES: u32 = 16;
+
+/// The pixels of one training view that take part: those that hit the mesh, are not masked and see no light source.
+/// All lists are per such pixel.
+pub struct FitView {
+    /// The view's name.
+    pub name: String,
+    /// What shading needs.
+    pub points: Vec<ShadePoint>,
+    /// Observed radiance.
+    pub target: Vec<[f32; 3]>,
+    /// Weight in the image loss: 1 each.
+    pub weight: Vec<f32>,
+    /// Texels seen.
+    pub footprints: Footprints,
+    /// Pixels by semantic class.
+    pub by_class: Groups,
+    /// Pixels by class, those that could show a highlight first.
+    pub by_class_highlights: Groups,
+    /// Pixels by class within a room.
+    pub by_class_and_room: Groups,
+    /// Indices of the pixels that could show a highlight.
+    pub highlights: Vec<u32>,
+}
+
+/// What all views share while they are prepared.
+pub struct Surroundings<'a> {
+    /// The mesh.
+    pub scene: &'a Scene,
+    /// Its texels.
+    pub atlas: &'a Atlas,
+    /// Their mips.
+    pub pyramid: &'a Pyramid,
+    /// E per texel.
+    pub irradiance: &'a Rgb,
+    /// Texels that are light sources.
+    pub emitters: &'a Mask,
+    /// Rooms, for views that bring none.
+    pub plan: &'a FloorPlan,
+    /// Sub-pixel footprints per axis.
+    pub footprint_samples: usize,
+    /// Seed of the highlight render.
+    pub seed: u32,
+}
+
+impl Surroundings<'_> {
+    /// Prepares the training views. The backend must hold the TBL of the light sources alone: the virtual highlights are
+    /// found with it.
+    pub fn prepare(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<FitView>> {
+        let training: Vec<&View> = views.iter().filter(|v| v.split == Split::Train).collect();
+        progress.start("views", training.len() as u64, "views");
+        let prepared = training
+            .into_iter()
+            .map(|view| {
+                progress.check()?;
+                let prepared = self.prepare_one(backend, view, progress)?;
+                progress.advance(1);
+                Ok(prepared)
+            })
+            .collect();
+        progress.finish();
+        prepared
+    }
+
+    fn prepare_one(&self, backend: &mut dyn Backend, view: &View, progress: &dyn Progress) -> Result<FitView> {
+        let image = view.load_image(progress)?;
+        let mask = view.load_mask()?;
+        let classes = view.load_semantic()?;
+        let rooms = view.load_room()?;
+        let hits = backend.primary(&view.camera)?;
+        let used: Vec<u32> = (0..hits.len() as u32)
+            .filter(|&i| {
+                let hit = &hits[i as usize];
+                hit.is_hit() && mask.as_ref().is_none_or(|m| m.data[i as usize]) && !self.is_emitter(hit)
+            })
+            .collect();
+        let fine = view.camera.supersampled(self.footprint_samples);
+        let fine_hits = backend.primary(&fine)?;
+        let footprints =
+            Footprints::of_pixels(self.pyramid, &self.scene.mesh, &fine, self.footprint_samples, &fine_hits, &used);
+        let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &footprints)?;
+        let points: Vec<ShadePoint> = used
+            .iter()
+            .zip(irradiance.as_chunks::<3>().0)
+            .map(|(&pixel, &irradiance)| {
+                ShadePoint::new(&self.scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
+            })
+            .collect();
+        let highlights = self.highlights(backend, &points, &view.name)?;
+        let class_of = |i: usize| classes.as_ref().map_or(0, |c| c.data[used[i] as usize]);
+        let room_of = |i: usize| match (&rooms, view.room_id) {
+            (Some(map), _) => map.data[used[i] as usize],
+            (None, Some(id)) => id,
+            (None, None) => self.plan.room_of(Vec3::from(points[i].position), Vec3::from(points[i].normal)),
+        };
+        let mut is_highlight = vec![false; points.len()];
+        highlights.iter().for_each(|&h| is_highlight[h as usize] = true);
+        let none = vec![false; points.len()];
+        Ok(FitView {
+            name: view.name.clone(),
+            target: used.iter().map(|&i| image.data[i as usize]).collect(),
+            weight: vec![1.0; used.len()],
+            by_class: group(points.len(), class_of, &none),
+            by_class_highlights: group(points.len(), class_of, &is_highlight),
+            by_class_and_room: group(points.len(), |i| (class_of(i), room_of(i)), &none),
+            points,
+            footprints,
+            highlights,
+        })
+    }
+
+    fn is_emitter(&self, hit: &Hit) -> bool {
+        let uv = hit.uv(&self.scene.mesh);
+        let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
+        *self.emitters.at(texel(uv.x, self.emitters.width), texel(uv.y, self.emitters.height))
+    }
+
+    /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.
+    fn highlights(&self, backend: &mut dyn Backend, points: &[ShadePoint], name: &str) -> Result<Vec<u32>> {
+        let mirror = vec![Material::dielectric([0.0; 3], HIGHLIGHT_ROUGHNESS); points.len()];
+        let seed = name.bytes().fold(self.seed, |s, b| hash2(s, u32::from(b)));
+        let sampling = Sampling { samples: HIGHLIGHT_SAMPLES, seed };
+        let shaded = backend.shade(points, &mirror, sampling, RoughnessGradient::Exact, &Silent)?;
+        Ok((0..points.len() as u32).filter(|&i| shaded[i as usize].radiance.iter().any(|&c| c > 0.0)).collect())
+    }
+}
+
+/// Groups items by key, in key order; members flagged `first` lead their group.
+fn group<K: Ord>(items: usize, key: impl Fn(usize) -> K, first: &[bool]) -> Groups {
+    let mut lists: BTreeMap<K, [Vec<u32>; 2]> = BTreeMap::new();
+    for i in 0..items {
+        lists.entry(key(i)).or_default()[usize::from(!first[i])].push(i as u32);
+    }
+    let mut groups = Groups { offsets: vec![0], members: Vec::with_capacity(items), references: Vec::new() };
+    for [references, others] in lists.into_values() {
+        groups.references.push(references.len() as u32);
+        groups.members.extend(references);
+        groups.members.extend(others);
+        groups.offsets.push(groups.members.len() as u32);
+    }
+    groups
+}

@@ -1,0 +1,219 @@
+//! The folder of a finished fit: what is in it, and how it gets there whole.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use tempfile::TempDir;
+
+use crate::capture::Tbl;
+use crate::error::{Error, Result};
+use crate::image_io::{read_gray, read_rgb, write_gray, write_rgb};
+use crate::mesh::Mesh;
+use crate::mesh_io;
+use crate::progress::Progress;
+use crate::render::Textures;
+
+/// Linear albedo, OpenEXR.
+pub const ALBEDO: &str = "albedo.exr";
+/// Perceptual roughness, OpenEXR.
+pub const ROUGHNESS: &str = "roughness.exr";
+/// Irradiance E (cosine included, not divided by π), OpenEXR.
+pub const IRRADIANCE: &str = "irradiance.exr";
+/// Emitted radiance, OpenEXR.
+pub const EMISSION: &str = "emission.exr";
+/// Texture-based lighting, OpenEXR.
+pub const HDR_TEXTURE: &str = "hdr_texture.exr";
+/// Where the texture-based lighting was seen (255), inpainted (128), or is outside the charts (0), PNG; the name that
+/// [`Tbl::mask_path`] gives.
+pub const HDR_TEXTURE_MASK: &str = "hdr_texture_mask.png";
+/// Floor plan with room ids, PNG.
+pub const ROOMS: &str = "rooms.png";
+/// The textured scene for viewers and engines.
+pub const SCENE: &str = "scene.glb";
+/// The mesh in the capture's own frame, which the textures belong to.
+pub const MESH: &str = "mesh.obj";
+/// [`crate::eval::Evaluation`], JSON.
+pub const METRICS: &str = "metrics.json";
+/// Every setting of the fit, TOML.
+pub const SETTINGS: &str = "settings.toml";
+/// One line per step of the fit, JSON.
+pub const LOG: &str = "log.jsonl";
+/// [`Run`], JSON.
+pub const RUN: &str = "run.json";
+/// The report, HTML.
+pub const REPORT: &str = "report.html";
+
+/// Every file of the folder.
+const FILES: [&str; 14] = [
+    ALBEDO,
+    ROUGHNESS,
+    IRRADIANCE,
+    EMISSION,
+    HDR_TEXTURE,
+    HDR_TEXTURE_MASK,
+    ROOMS,
+    SCENE,
+    MESH,
+    METRICS,
+    SETTINGS,
+    LOG,
+    RUN,
+    REPORT,
+];
+
+/// How a fit came about.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// Version of texir.
+    pub version: String,
+    /// The capture's folder.
+    pub capture: PathBuf,
+    /// What ran the passes.
+    pub backend: String,
+    /// Phases in order, with the seconds that each took.
+    pub timings: Vec<(String, f64)>,
+}
+
+/// What rendering a fit's result takes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FitOutput {
+    /// The mesh, in the capture's frame.
+    pub mesh: Mesh,
+    /// Texture-based lighting.
+    pub tbl: Tbl,
+    /// Materials and light.
+    pub textures: Textures,
+}
+
+impl FitOutput {
+    /// Writes mesh and textures.
+    pub fn save(&self, folder: &Path) -> Result<()> {
+        let Textures { albedo, roughness, irradiance, emission } = &self.textures;
+        write_rgb(folder.join(ALBEDO), albedo)?;
+        write_gray(folder.join(ROUGHNESS), roughness)?;
+        write_rgb(folder.join(IRRADIANCE), irradiance)?;
+        write_rgb(folder.join(EMISSION), emission)?;
+        self.tbl.write(folder.join(HDR_TEXTURE))?;
+        mesh_io::obj::write(folder.join(MESH), &self.mesh)
+    }
+
+    /// Reads what [`FitOutput::save`] wrote.
+    pub fn load(folder: &Path, progress: &dyn Progress) -> Result<Self> {
+        if !folder.join(ALBEDO).is_file() {
+            return Err(Error::file(
+                folder,
+                format!("is not the output of a fit: it has no {ALBEDO}; expected the folder given to `texir fit -o`"),
+            ));
+        }
+        let textures = Textures {
+            albedo: read_rgb(folder.join(ALBEDO))?,
+            roughness: read_gray(folder.join(ROUGHNESS))?,
+            irradiance: read_rgb(folder.join(IRRADIANCE))?,
+            emission: read_rgb(folder.join(EMISSION))?,
+        };
+        let tbl = Tbl::read(folder.join(HDR_TEXTURE), progress)?;
+        Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, tbl, textures })
+    }
+}
+
+/// Output that appears all at once: files are written to a folder beside the target and moved into it when all are there.
+#[derive(Debug)]
+pub struct Staging {
+    folder: TempDir,
+    target: PathBuf,
+}
+
+impl Staging {
+    /// Prepares to fill `target`, which may exist; missing folders above it are made.
+    pub fn new(target: &Path) -> Result<Self> {
+        if target.exists() && !target.is_dir() {
+            return Err(Error::file(target, "is a file; expected a folder for the outputs, or a name for a new one"));
+        }
+        let failed = |e| Error::file(target, format!("cannot be written beside: {e}"));
+        let beside = match target.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        fs::create_dir_all(beside).map_err(failed)?;
+        let folder = tempfile::Builder::new().prefix(".texir-").tempdir_in(beside).map_err(failed)?;
+        Ok(Self { folder, target: target.to_owned() })
+    }
+
+    /// The folder to write to.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Moves the files to the target. Files of the layout that an earlier run left there and this one did not make are
+    /// removed: they describe another result.
+    pub fn commit(self) -> Result<()> {
+        let failed = |path: &Path, e| Error::file(path, format!("cannot be written: {e}"));
+        fs::create_dir_all(&self.target).map_err(|e| failed(&self.target, e))?;
+        for name in FILES {
+            let (from, to) = (self.folder().join(name), self.target.join(name));
+            if from.exists() {
+                fs::rename(&from, &to).map_err(|e| failed(&to, e))?;
+            } else if to.exists() {
+                fs::remove_file(&to).map_err(|e| failed(&to, e))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Silent;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn outputs_appear_all_at_once() {
+        let root = tempfile::tempdir().unwrap();
+        let target = root.path().join("deep/out");
+        let staging = Staging::new(&target).unwrap();
+        fs::write(staging.folder().join(ALBEDO), "new").unwrap();
+        assert!(!target.exists());
+        staging.commit().unwrap();
+        assert_eq!(names(&target), [ALBEDO]);
+        assert_eq!(names(target.parent().unwrap()), ["out"]);
+    }
+
+    #[test]
+    fn an_interrupted_run_leaves_nothing() {
+        let root = tempfile::tempdir().unwrap();
+        let staging = Staging::new(&root.path().join("out")).unwrap();
+        fs::write(staging.folder().join(ALBEDO), "half").unwrap();
+        drop(staging);
+        assert!(names(root.path()).is_empty());
+    }
+
+    #[test]
+    fn stale_outputs_go_and_other_files_stay() {
+        let root = tempfile::tempdir().unwrap();
+        for name in [METRICS, ALBEDO, "notes.txt"] {
+            fs::write(root.path().join(name), "old").unwrap();
+        }
+        let staging = Staging::new(root.path()).unwrap();
+        fs::write(staging.folder().join(ALBEDO), "new").unwrap();
+        staging.commit().unwrap();
+        assert_eq!(names(root.path()), [ALBEDO, "notes.txt"]);
+        assert_eq!(fs::read_to_string(root.path().join(ALBEDO)).unwrap(), "new");
+    }
+
+    #[test]
+    fn a_file_in_the_way_is_named() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let error = Staging::new(file.path()).unwrap_err().to_string();
+        assert!(error.contains(&file.path().display().to_string()), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        assert!(FitOutput::load(folder.path(), &Silent).unwrap_err().to_string().contains("albedo.exr"));
+    }
+}

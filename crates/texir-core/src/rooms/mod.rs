@@ -1,0 +1,260 @@
+//! Rooms from the mesh: a floor plan in which every point belongs to a room, and a doorway separates.
+//!
+//! The mesh is rasterised into vertical columns ([`columns`]). A wall fills its column from sitting to head height and up
+//! to the ceiling; furniture fills neither, so it does not split a room; a lintel fills only the part under the ceiling.
+//! What is covered by a floor or a ceiling and not walled is free space, and free space is cut into rooms at lintels no
+//! wider than a door and where it narrows to a doorway ([`segment`]). One storey at a time: what lies under the floor
+//! that the cameras stand on, or above the highest ceiling, is left out.
+
+mod columns;
+mod distance;
+mod picture;
+mod segment;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use glam::{Mat3, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+use crate::raster::{Labels, Mask};
+use columns::Columns;
+
+/// How rooms are found. Lengths in metres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RoomOptions {
+    /// Edge of a floor-plan cell.
+    pub cell: f32,
+    /// Direction away from the floor, in world space.
+    pub up: [f32; 3],
+    /// The widest opening that separates two rooms.
+    pub door_width: f32,
+    /// Without a lintel, an opening separates only if it is this much narrower than the smaller of its two rooms.
+    pub constriction: f32,
+    /// Anything smaller (m²) is part of the room it opens to.
+    pub min_area: f32,
+}
+
+impl Default for RoomOptions {
+    fn default() -> Self {
+        Self { cell: 0.05, up: [0.0, 0.0, 1.0], door_width: 1.9, constriction: 0.8, min_area: 1.0 }
+    }
+}
+
+impl RoomOptions {
+    /// Errors on settings with which no plan can be made.
+    fn check(&self) -> Result<()> {
+        let positive = [("cell", self.cell), ("door_width", self.door_width), ("constriction", self.constriction)];
+        for (name, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Error::invalid(format!("rooms.{name} is {value}; expected a number above 0")));
+            }
+        }
+        if self.min_area < 0.0 || self.min_area.is_nan() {
+            return Err(Error::invalid(format!("rooms.min_area is {}; expected 0 or more (m²)", self.min_area)));
+        }
+        if !(Vec3::from(self.up).length() > 1e-6 && Vec3::from(self.up).is_finite()) {
+            return Err(Error::invalid(format!("rooms.up is {:?}; expected a direction, such as [0, 0, 1]", self.up)));
+        }
+        Ok(())
+    }
+}
+
+/// Lower and upper end, above the floor, of the part of a column that a wall fills and a table does not.
+const BODY: (f32, f32) = (0.3, 1.9);
+/// Lower and upper end, below the ceiling, of the part that walls and lintels fill and doors and wardrobes do not.
+const HEAD: (f32, f32) = (0.3, 0.05);
+/// Ceilings are higher than this above the floor.
+const HEAD_ROOM: f32 = 1.9;
+/// The share of either part that must be filled: scans are frayed, and a wall may lie astride two cells.
+const FILLED: f32 = 0.4;
+/// A free-standing piece of wall up to this long, metres, is a pillar or a wardrobe.
+const PILLAR: f32 = 0.8;
+/// Where a lintel meets walls, it does so over at least this share of its length.
+const SPAN: f32 = 0.7;
+/// Holes in both floor and ceiling up to this area (m²) are holes of the scan.
+const HOLE_AREA: f32 = 1.0;
+/// Cells under a lintel, and free scraps, join a room no further away than this, metres.
+const REACH: f32 = 0.3;
+
+/// A floor plan: room ids on a grid in the plane perpendicular to the up direction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FloorPlan {
+    /// Room id per cell, from 1; 0 for walls and the outside. Row j holds plan coordinates y from `origin.y + j·cell`.
+    pub rooms: Labels,
+    /// Cells that hold a wall.
+    pub walls: Mask,
+    /// Plan coordinates of the outer corner of cell (0, 0), metres.
+    pub origin: Vec2,
+    /// Edge of a cell, metres.
+    pub cell: f32,
+    /// Rows: plan x, plan y and up, in world space. With +Z up, plan x and y are the world's.
+    plan_from_world: Mat3,
+    /// Per cell, the id of the nearest room.
+    nearest: Labels,
+}
+
+impl FloorPlan {
+    /// A plan from given ids, such as a room map that came with the capture. Errors on a plan without a room, or
+    /// `walls` of another size.
+    pub fn new(rooms: Labels, walls: Mask, origin: Vec2, cell: f32, up: Vec3) -> Result<Self> {
+        if rooms.size() != walls.size() {
+            return Err(Error::invalid(format!("{:?} room ids, but {:?} wall flags", rooms.size(), walls.size())));
+        }
+        let sources = distance::nearest(&rooms.map(|&id| id != 0))
+            .ok_or_else(|| Error::invalid("no room was found: the floor plan has no cell with a room id"))?;
+        let data = sources.iter().map(|&cell| rooms.data[cell as usize]).collect();
+        let nearest = Labels::new(rooms.width, rooms.height, data)?;
+        Ok(Self { rooms, walls, origin, cell, plan_from_world: plan_from_world(up), nearest })
+    }
+
+    /// Number of rooms.
+    pub fn count(&self) -> usize {
+        self.rooms.data.iter().copied().max().unwrap_or(0).into()
+    }
+
+    /// Plan coordinates of a world point.
+    pub fn plan(&self, point: Vec3) -> Vec2 {
+        (self.plan_from_world * point).truncate()
+    }
+
+    /// The room at a world point in free space, or the nearest one; never 0.
+    pub fn room_at(&self, point: Vec3) -> u16 {
+        let cell = ((self.plan(point) - self.origin) / self.cell).floor();
+        let column = (cell.x.max(0.0) as usize).min(self.nearest.width - 1);
+        let row = (cell.y.max(0.0) as usize).min(self.nearest.height - 1);
+        *self.nearest.at(column, row)
+    }
+
+    /// The room that a surface faces: the one in front of `point` along its `normal`, so that the two sides of a wall
+    /// belong to two rooms. Never 0.
+    pub fn room_of(&self, point: Vec3, normal: Vec3) -> u16 {
+        self.room_at(point + normal.normalize_or_zero() * (1.5 * self.cell))
+    }
+
+    /// Writes the plan as a picture: rooms in distinct colours with their ids, walls dark, cameras as dots; plan y up.
+    pub fn write_png(&self, path: &Path, cameras: &[Vec3]) -> Result<()> {
+        picture::write(self, path, cameras)
+    }
+}
+
+/// The rotation whose rows are plan x, plan y and up.
+fn plan_from_world(up: Vec3) -> Mat3 {
+    let up = up.normalize_or(Vec3::Z);
+    let forward = if up.x.abs() < 0.9 { Vec3::X } else { Vec3::Y };
+    let x = forward.reject_from_normalized(up).normalize_or(Vec3::X);
+    Mat3::from_cols(x, up.cross(x), up).transpose()
+}
+
+/// Finds the rooms of a mesh. `cameras` are positions known to lie inside rooms: they tell floor from ceiling (without
+/// them, half the mesh's height does) and are free space even where the scan has holes.
+pub fn detect(mesh: &Mesh, cameras: &[Vec3], options: &RoomOptions) -> Result<FloorPlan> {
+    options.check()?;
+    let up = Vec3::from(options.up);
+    let rotation = plan_from_world(up);
+    let cameras: Vec<Vec3> = cameras.iter().filter(|c| c.is_finite()).map(|&c| rotation * c).collect();
+    let triangles = (0..mesh.triangles.len() as u32).map(|t| mesh.corners(t).map(|p| rotation * p));
+    let columns = Columns::new(triangles, options.cell, |lo, hi| {
+        let mut heights: Vec<f32> = cameras.iter().map(|c| c.z).filter(|&z| z > lo && z < hi).collect();
+        heights.sort_by(f32::total_cmp);
+        heights.get(heights.len() / 2).copied().unwrap_or(0.5 * (lo + hi))
+    })?;
+    let (walls, lintels) = obstacles(&columns, options);
+    let free = free_space(&columns, &walls, &lintels, &cameras);
+    let mut rooms = segment::rooms(&free, options.cell, options);
+    if rooms.data.iter().all(|&id| id == 0) {
+        return Err(Error::invalid(format!(
+            "no room was found: no free floor of {} m² between walls. Check that the mesh is in metres and that {:?} \
+             points up",
+            options.min_area, options.up
+        )));
+    }
+    fill_passages(&mut rooms, &free, &lintels, options.cell);
+    FloorPlan::new(rooms, walls, columns.origin, options.cell, up)
+}
+
+/// Cells with walls, and cells with lintels short enough to be a door's.
+fn obstacles(columns: &Columns, options: &RoomOptions) -> (Mask, Mask) {
+    let (w, h) = (columns.width, columns.height);
+    let known =
+        Mask { width: w, height: h, data: (0..w * h).map(|c| columns.ceiling(c, HEAD_ROOM).is_some()).collect() };
+    // Where the scan's ceiling has a hole, the nearest known height serves; where it has none at all, the mesh's top.
+    let nearest_ceiling = distance::nearest(&known);
+    let mut walls = Mask::filled(w, h, false);
+    let mut lintels = walls.clone();
+    for c in 0..w * h {
+        let source = nearest_ceiling.as_ref().map_or(c, |n| n[c] as usize);
+        let ceiling = columns.ceiling(source, HEAD_ROOM).unwrap_or(columns.top);
+        if columns.share(c, ceiling - HEAD.0, ceiling - HEAD.1) >= FILLED {
+            let wall = columns.share(c, columns.floor + BODY.0, columns.floor + BODY.1) >= FILLED;
+            walls.data[c] = wall;
+            lintels.data[c] = !wall;
+        }
+    }
+    // A pillar stands in a room.
+    for part in segment::components(&walls) {
+        if extent(part.iter().copied(), w) * options.cell <= PILLAR {
+            part.iter().for_each(|&c| walls.data[c] = false);
+        }
+    }
+    // A lintel spans from wall to wall; a lamp that hangs from the ceiling does not. A beam across a room, or a row of
+    // hanging cupboards, is longer than a door is wide.
+    for part in segment::components(&lintels) {
+        let length = extent(part.iter().copied(), w);
+        let at_walls = |&c: &usize| segment::neighbours8(c, w, h).any(|n| walls.data[n]);
+        let spans = extent(part.iter().copied().filter(at_walls), w) >= SPAN * length;
+        if !spans || length * options.cell > options.door_width + 2.0 * options.cell {
+            part.iter().for_each(|&c| lintels.data[c] = false);
+        }
+    }
+    (walls, lintels)
+}
+
+/// Diagonal of the bounds of some cells of a plan `width` cells wide, in cells.
+fn extent(cells: impl Iterator<Item = usize>, width: usize) -> f32 {
+    let bounds = cells.map(|c| (c % width, c / width)).fold(None, |bounds, (x, y)| {
+        let (x0, y0, x1, y1) = bounds.unwrap_or((x, y, x, y));
+        Some((x0.min(x), y0.min(y), x1.max(x), y1.max(y)))
+    });
+    bounds.map_or(0.0, |(x0, y0, x1, y1)| ((x1 - x0 + 1) as f32).hypot((y1 - y0 + 1) as f32))
+}
+
+/// Cells in which one can stand: under a ceiling or on a floor, and neither wall nor lintel.
+fn free_space(columns: &Columns, walls: &Mask, lintels: &Mask, cameras: &[Vec3]) -> Mask {
+    let (w, h) = walls.size();
+    let obstacle = |c: usize| walls.data[c] || lintels.data[c];
+    let open = Mask { width: w, height: h, data: (0..w * h).map(|c| !obstacle(c)).collect() };
+    let mut free = Mask { width: w, height: h, data: (0..w * h).map(|c| open.data[c] && columns.covered(c)).collect() };
+    for camera in cameras {
+        let c = columns.cell_of(camera.truncate());
+        free.data[c] = open.data[c];
+    }
+    let uncovered = Mask { width: w, height: h, data: (0..w * h).map(|c| open.data[c] && !free.data[c]).collect() };
+    for hole in segment::components(&uncovered) {
+        if hole.len() as f32 * columns.cell * columns.cell > HOLE_AREA {
+            continue;
+        }
+        // The hollow of a wall is small as well, but walls surround it.
+        let border = hole.iter().flat_map(|&c| segment::neighbours4(c, w, h)).filter(|&n| !uncovered.data[n]);
+        let (inside, all) = border.fold((0, 0), |(inside, all), n| (inside + usize::from(free.data[n]), all + 1));
+        if 2 * inside > all {
+            hole.iter().for_each(|&c| free.data[c] = true);
+        }
+    }
+    free
+}
+
+/// Gives the cells under lintels, and scraps of free space between them, to the nearest room within reach.
+fn fill_passages(rooms: &mut Labels, free: &Mask, lintels: &Mask, cell: f32) {
+    let Some(sources) = distance::nearest(&rooms.map(|&id| id != 0)) else { return };
+    for (c, &source) in sources.iter().enumerate() {
+        let near = distance::between(rooms.width, c, source as usize) * cell <= REACH;
+        if rooms.data[c] == 0 && (free.data[c] || lintels.data[c]) && near {
+            rooms.data[c] = rooms.data[source as usize];
+        }
+    }
+}

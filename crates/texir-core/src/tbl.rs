@@ -1,1 +1,0 @@
-//! Texture-based lighting from the views.

@@ -1,0 +1,150 @@
+//! Texture-based lighting from the views: the radiance of every atlas texel, as the panoramas or photos show it.
+//!
+//! Each texel's surface point is projected into every view, tested for visibility, sampled ([`sample`]) and blended
+//! robustly over the views ([`blend`]); texels that no view sees are filled from their neighbourhood in space
+//! ([`inpaint`]) and flagged. Pixels masked out of the fit are used all the same: emitters are masked, and they are the
+//! light. Views are read one at a time; memory is bounded by the atlas and a band of it.
+
+mod blend;
+mod inpaint;
+mod sample;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::atlas::Atlas;
+use crate::backend::Backend;
+use crate::camera::Camera;
+use crate::capture::{Coverage, Tbl, View};
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::raster::Rgb;
+use crate::scene::Scene;
+use blend::Best;
+use sample::Sampler;
+
+/// How views are joined into a TBL.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TblOptions {
+    /// Views that see a surface at a smaller cosine than this are not used for it.
+    pub min_cosine: f32,
+    /// Exponent of a view's resolution (cosθ/d² × pixels per steradian) in its weight: 0 counts all views alike, high
+    /// values take the sharpest only.
+    pub sharpness: f32,
+    /// The quantile of the views' logarithmic luminance taken for diffuse: highlights only ever add light.
+    pub quantile: f32,
+    /// Difference of logarithmic luminance from it at which an observation counts half.
+    pub tolerance: f32,
+    /// Texels around the charts that repeat the nearest chart texel's radiance, for lookups at chart borders.
+    pub gutter: usize,
+}
+
+impl Default for TblOptions {
+    fn default() -> Self {
+        Self { min_cosine: 0.1, sharpness: 1.0, quantile: 0.3, tolerance: 0.05, gutter: 4 }
+    }
+}
+
+impl TblOptions {
+    /// Errors on settings out of range.
+    fn check(&self) -> Result<()> {
+        let ranges = [
+            ("min_cosine", self.min_cosine, 0.0..=1.0),
+            ("sharpness", self.sharpness, 0.0..=16.0),
+            ("quantile", self.quantile, 0.0..=1.0),
+            ("tolerance", self.tolerance, 1e-3..=1e6),
+        ];
+        match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
+            None => Ok(()),
+            Some((name, value, range)) => {
+                Err(Error::invalid(format!("tbl.{name} is {value}; expected {} to {}", range.start(), range.end())))
+            }
+        }
+    }
+}
+
+/// Texels that are worked on at a time: 100 MB of observations.
+const BAND: usize = 1 << 19;
+
+/// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance and
+/// whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
+/// [`Coverage::Outside`].
+pub fn build(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    views: &[View],
+    size: (usize, usize),
+    options: &TblOptions,
+    progress: &dyn Progress,
+) -> Result<Tbl> {
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    fuse(backend, scene, &cameras, |i| views[i].load_image(progress), size, options, progress)
+}
+
+/// [`build`] from images that `load` gives by index.
+fn fuse(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    cameras: &[Camera],
+    mut load: impl FnMut(usize) -> Result<Rgb>,
+    size: (usize, usize),
+    options: &TblOptions,
+    progress: &dyn Progress,
+) -> Result<Tbl> {
+    options.check()?;
+    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
+    let mut blended: Vec<Option<[f32; 3]>> = Vec::with_capacity(atlas.points.len());
+    progress.start("texture-based lighting", (atlas.points.len() * cameras.len()) as u64, "texels");
+    for points in atlas.points.chunks(BAND) {
+        let mut best = vec![Best::default(); points.len()];
+        for (i, camera) in cameras.iter().enumerate() {
+            progress.check()?;
+            let image = load(i)?;
+            let projected = backend.project(points, camera)?;
+            let sampler = Sampler::new(backend, &scene.mesh, camera, &image, options)?;
+            best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
+                if let Some(observation) = sampler.observe(point, at, texel_area(&scene.mesh, point.triangle, size)) {
+                    best.add(observation);
+                }
+            });
+            progress.advance(points.len() as u64);
+        }
+        blended.par_extend(best.par_iter().map(|best| best.blend(options)));
+    }
+    progress.finish();
+    if blended.iter().all(Option::is_none) {
+        return Err(Error::invalid(format!(
+            "none of the {} views sees the mesh: check the camera poses (camera to world, metres, the mesh's frame) and \
+             that the mesh's faces point into the rooms",
+            cameras.len()
+        )));
+    }
+    let radiance = inpaint::fill(&atlas.points, &blended, typical_texel(scene, &atlas));
+    let coverage = blended.iter().map(|b| b.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
+    Ok(Tbl {
+        radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
+        coverage: atlas.scatter(&coverage, Coverage::Outside),
+    })
+}
+
+/// Area on the surface of a texel of a `size` atlas, m².
+fn texel_area(mesh: &Mesh, triangle: u32, size: (usize, usize)) -> f32 {
+    let [a, b, c] = mesh.corners(triangle);
+    let [ua, ub, uc] = mesh.corner_uvs(triangle);
+    let world = (b - a).cross(c - a).length();
+    let texels = (ub - ua).perp_dot(uc - ua).abs() * (size.0 * size.1) as f32;
+    if texels > 0.0 { world / texels } else { 0.0 }
+}
+
+/// Edge of the median texel on the surface, metres.
+fn typical_texel(scene: &Scene, atlas: &Atlas) -> f32 {
+    let size = (atlas.width, atlas.height);
+    let mut areas: Vec<f32> = atlas.points.par_iter().map(|p| texel_area(&scene.mesh, p.triangle, size)).collect();
+    let middle = areas.len() / 2;
+    areas.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
+}
+
+#[cfg(test)]
+mod tests;

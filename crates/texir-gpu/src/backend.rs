@@ -1,0 +1,231 @@
+//! [`Backend`] on a wgpu device.
+
+use texir_core::backend::{
+    Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
+    Sampling, ShadePoint, Shaded,
+};
+use texir_core::camera::Camera;
+use texir_core::error::{Error, Result};
+use texir_core::lights::Lights;
+use texir_core::progress::Progress;
+use texir_core::raster::Rgb;
+use texir_core::scene::Scene;
+use texir_core::surface::{Hit, SurfacePoint};
+use texir_core::texture::{Footprints, Pyramid};
+
+use crate::batch::{Context, GatherShape};
+use crate::gpu::Gpu;
+use crate::pass::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
+use crate::scene::{Geometry, Hierarchy, Lighting};
+
+/// The passes in WGSL, for one scene.
+pub struct GpuBackend<'a> {
+    scene: &'a Scene,
+    context: Context,
+    geometry: Geometry,
+    lighting: Option<Lighting>,
+    shape: Option<GatherShape>,
+    cache: lookup::LookupCache,
+}
+
+impl<'a> GpuBackend<'a> {
+    /// Uploads the scene. The device's queue is used from the calling thread, and only during calls.
+    pub fn new(gpu: &Gpu, scene: &'a Scene) -> Result<Self> {
+        Self::with_hierarchy(gpu, scene, Hierarchy::best(gpu))
+    }
+
+    /// [`GpuBackend::new`] with a choice that changes speed only.
+    pub fn with_hierarchy(gpu: &Gpu, scene: &'a Scene, hierarchy: Hierarchy) -> Result<Self> {
+        let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, scene, hierarchy))?;
+        let context = Context::new(gpu.clone(), hierarchy);
+        Ok(Self { scene, context, geometry, lighting: None, shape: None, cache: Default::default() })
+    }
+
+    /// Sets how samples are dealt to threads; `None` chooses by their number. Results differ only by rounding.
+    pub fn set_gather_shape(&mut self, shape: Option<GatherShape>) -> Result<()> {
+        self.shape = shape.map(GatherShape::check).transpose()?;
+        Ok(())
+    }
+
+    fn shape_for(&self, samples: u32) -> Result<GatherShape> {
+        if samples == 0 {
+            return Err(Error::invalid("the number of samples is 0: at least one is needed"));
+        }
+        Ok(self.shape.unwrap_or(GatherShape::for_samples(samples)))
+    }
+}
+
+fn lighting_of(lighting: &Option<Lighting>) -> Result<&Lighting> {
+    lighting.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))
+}
+
+/// Checks that a slice has as many items as expected.
+fn sized(what: &str, found: usize, expected: usize) -> Result<()> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("{what}: {found} values where {expected} are expected")))
+}
+
+/// Checks that items can be counted in 32 bits.
+fn countable(items: usize) -> Result<()> {
+    if u32::try_from(items).is_ok() {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("{items} items in one call: at most {} can be indexed", u32::MAX)))
+}
+
+impl Backend for GpuBackend<'_> {
+    fn name(&self) -> String {
+        self.context.gpu.describe()
+    }
+
+    fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
+        let gpu = &self.context.gpu;
+        let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, self.scene, radiance, lights))?;
+        self.lighting = Some(lighting);
+        Ok(())
+    }
+
+    fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>> {
+        countable(camera.pixels())?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("primary", || primary::run(&mut self.context, &self.geometry, camera))
+    }
+
+    fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>> {
+        if width == 0 || height == 0 {
+            return Ok(Vec::new());
+        }
+        countable(width * height)?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("texels", || texels::run(&mut self.context, &self.scene.mesh, width, height))
+    }
+
+    fn irradiance(
+        &mut self,
+        points: &[SurfacePoint],
+        gather: Gather,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Gathered>> {
+        countable(points.len())?;
+        let shape = self.shape_for(gather.cosine)?;
+        let light = (&self.geometry, lighting_of(&self.lighting)?);
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("irradiance", || irradiance::run(&mut self.context, light, points, gather, shape, progress))
+    }
+
+    fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
+        countable(points.len())?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("project", || project::run(&mut self.context, &self.geometry, points, camera))
+    }
+
+    fn shade(
+        &mut self,
+        points: &[ShadePoint],
+        materials: &[Material],
+        sampling: Sampling,
+        gradient: RoughnessGradient,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Shaded>> {
+        countable(points.len())?;
+        sized("materials to shade", materials.len(), points.len())?;
+        let shape = self.shape_for(sampling.samples)?;
+        let light = (&self.geometry, lighting_of(&self.lighting)?);
+        let (items, how) = ((points, materials), (sampling, gradient));
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("shade", || shade::run(&mut self.context, light, items, how, shape, progress))
+    }
+
+    fn shade_vjp(
+        &mut self,
+        points: &[ShadePoint],
+        materials: &[Material],
+        shaded: &[Shaded],
+        d_radiance: &[[f32; 3]],
+    ) -> Result<Vec<MaterialGrad>> {
+        countable(points.len())?;
+        sized("materials of shade_vjp", materials.len(), points.len())?;
+        sized("shaded pixels of shade_vjp", shaded.len(), points.len())?;
+        sized("cotangents of shade_vjp", d_radiance.len(), points.len())?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("shade_vjp", || shade_vjp::run(&mut self.context, points, materials, shaded, d_radiance))
+    }
+
+    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {
+        countable(rendered.len())?;
+        sized("target of radiance_loss", target.len(), rendered.len())?;
+        sized("weights of radiance_loss", weight.len(), rendered.len())?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("radiance_loss", || radiance_loss::run(&mut self.context, rendered, target, weight))
+    }
+
+    fn group_loss(
+        &mut self,
+        values: &[f32],
+        channels: usize,
+        groups: &Groups,
+        target: GroupTarget,
+    ) -> Result<Loss<f32>> {
+        countable(values.len())?;
+        groups_fit(groups, values.len() / channels.max(1))?;
+        if groups.references.is_empty() || channels == 0 {
+            return Ok(Loss { value: 0.0, gradient: vec![0.0; values.len()] });
+        }
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("group_loss", || group_loss::run(&mut self.context, values, channels, groups, target))
+    }
+
+    fn lookup(
+        &mut self,
+        pyramid: &Pyramid,
+        texture: &[f32],
+        channels: usize,
+        footprints: &Footprints,
+    ) -> Result<Vec<f32>> {
+        sized("texture of lookup", texture.len(), atlas_len(pyramid) * channels)?;
+        countable(pyramid.len() * channels)?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("lookup", || {
+            lookup::run(&mut self.context, &mut self.cache, pyramid, texture, channels, footprints)
+        })
+    }
+
+    fn lookup_vjp(
+        &mut self,
+        pyramid: &Pyramid,
+        d_values: &[f32],
+        channels: usize,
+        footprints: &Footprints,
+    ) -> Result<Vec<f32>> {
+        sized("cotangents of lookup_vjp", d_values.len(), footprints.len() * channels)?;
+        countable(pyramid.len() * channels)?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("lookup_vjp", || {
+            lookup::run_vjp(&mut self.context, &mut self.cache, pyramid, d_values, channels, footprints)
+        })
+    }
+}
+
+/// Texels of the finest level.
+fn atlas_len(pyramid: &Pyramid) -> usize {
+    pyramid.levels.first().map_or(0, |l| l.width * l.height)
+}
+
+/// Checks that groups are consistent and refer to pixels that exist.
+fn groups_fit(groups: &Groups, pixels: usize) -> Result<()> {
+    sized("offsets of groups", groups.offsets.len(), groups.references.len() + 1)?;
+    let ascending =
+        groups.offsets.is_sorted() && groups.offsets.last().is_some_and(|&n| n as usize == groups.members.len());
+    let counts = groups.offsets.windows(2).map(|w| w[1].saturating_sub(w[0]));
+    if !ascending || counts.zip(&groups.references).any(|(count, &references)| references > count) {
+        return Err(Error::invalid("groups: offsets must ascend to the number of members, references must be members"));
+    }
+    match groups.members.iter().find(|&&m| m as usize >= pixels) {
+        Some(member) => {
+            Err(Error::invalid(format!("groups: pixel {member} of a group, but there are {pixels} pixels")))
+        }
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,59 @@
+//! Host side of `group_loss.wgsl`.
+
+use bytemuck::{Pod, Zeroable};
+use texir_core::backend::{GroupTarget, Groups, Loss};
+use texir_core::error::Result;
+
+use crate::batch::Context;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct GroupLossParams {
+    pub channels: u32,
+    pub quantile: f32,
+    pub jobs: u32,
+    pub share: f32,
+}
+
+/// See [`texir_core::backend::Backend::group_loss`].
+pub(crate) fn run(
+    ctx: &mut Context,
+    values: &[f32],
+    channels: usize,
+    groups: &Groups,
+    target: GroupTarget,
+) -> Result<Loss<f32>> {
+    let jobs = groups.references.len() * channels;
+    let (entry, quantile) = match target {
+        GroupTarget::Mean => ("mean_target", 0.0),
+        GroupTarget::Quantile(q) => ("quantile_target", q),
+    };
+    let kernel = ctx.kernel("group_loss", entry, None)?;
+    let share = 1.0 / (groups.members.len() * channels).max(1) as f32;
+    let params = ctx.params(&GroupLossParams { channels: channels as u32, quantile, jobs: jobs as u32, share });
+    let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
+    let offsets = pool.upload(gpu, "group offsets", &groups.offsets)?;
+    let members = pool.upload(gpu, "group members", &groups.members)?;
+    let references = pool.upload(gpu, "group references", &groups.references)?;
+    let gradient = pool.reserve(gpu, "d_values", size_of_val(values) as u64)?;
+    let count = values.len();
+    let values = pool.upload(gpu, "values", values)?;
+    let losses = pool.reserve(gpu, "losses", (jobs * size_of::<f32>()) as u64)?;
+    // Pixels of no group, and references, get no gradient.
+    gradient.clear(gpu);
+    let bound = kernel.bind(
+        gpu,
+        &[
+            ("params", params.binding()),
+            ("offsets", offsets.binding()),
+            ("members", members.binding()),
+            ("references", references.binding()),
+            ("values", values.binding()),
+            ("d_values", gradient.binding()),
+            ("losses", losses.binding()),
+        ],
+    )?;
+    ctx.submit(|pass| kernel.record(pass, &bound, jobs))?;
+    let value: f64 = ctx.pool.download::<f32>(&ctx.gpu, &losses, jobs)?.into_iter().map(f64::from).sum();
+    Ok(Loss { value: value as f32, gradient: ctx.pool.download(&ctx.gpu, &gradient, count)? })
+}

@@ -1,0 +1,111 @@
+//! Host side of `irradiance.wgsl`.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use texir_core::backend::{Gather, Gathered};
+use texir_core::error::Result;
+use texir_core::progress::Progress;
+use texir_core::surface::SurfacePoint;
+
+use crate::batch::{Context, GatherShape, Gathering};
+use crate::buffer::View;
+use crate::kernel::Kernel;
+use crate::scene::{Geometry, Lighting};
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct IrradianceParams {
+    pub count: u32,
+    pub first_point: u32,
+    pub first_sample: u32,
+    pub end_sample: u32,
+    pub cosine_samples: u32,
+    pub light_samples: u32,
+    pub slots: u32,
+    pub seed: u32,
+}
+
+struct Irradiance<'a> {
+    /// By technique: cosine, lights.
+    kernels: [Arc<Kernel>; 2],
+    geometry: &'a Geometry,
+    lighting: &'a Lighting,
+    points: &'a [SurfacePoint],
+    gather: Gather,
+    shape: GatherShape,
+    out: Vec<Gathered>,
+}
+
+/// Points and running sums of a batch.
+struct Batch {
+    points: View,
+    gathered: View,
+}
+
+impl Gathering for Irradiance<'_> {
+    type Batch = Batch;
+
+    fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
+        let gathered = ctx.pool.reserve(&ctx.gpu, "gathered", (items.len() * size_of::<Gathered>()) as u64)?;
+        Ok(Batch { points: ctx.pool.upload(&ctx.gpu, "points", &self.points[items])?, gathered })
+    }
+
+    fn dispatch(
+        &mut self,
+        ctx: &mut Context,
+        batch: &Batch,
+        technique: usize,
+        items: Range<usize>,
+        samples: Range<u32>,
+    ) -> Result<()> {
+        let params = ctx.params(&IrradianceParams {
+            count: items.len() as u32,
+            first_point: items.start as u32,
+            first_sample: samples.start,
+            end_sample: samples.end,
+            cosine_samples: self.gather.cosine,
+            light_samples: self.gather.light,
+            slots: self.lighting.slots,
+            seed: self.gather.seed,
+        });
+        let own = [
+            ("params", params.binding()),
+            ("points", batch.points.binding()),
+            ("light_slots", self.lighting.light_slots.binding()),
+            ("light_density", self.lighting.light_density.binding()),
+            ("gathered", batch.gathered.binding()),
+        ];
+        let kernel = &self.kernels[technique];
+        let groups = kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
+        let rays = items.len() as u64 * samples.len() as u64;
+        ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
+    }
+
+    fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {
+        self.out.extend(ctx.pool.download::<Gathered>(&ctx.gpu, &batch.gathered, count)?);
+        Ok(())
+    }
+}
+
+/// See [`texir_core::backend::Backend::irradiance`].
+pub(crate) fn run(
+    ctx: &mut Context,
+    (geometry, lighting): (&Geometry, &Lighting),
+    points: &[SurfacePoint],
+    gather: Gather,
+    shape: GatherShape,
+    progress: &dyn Progress,
+) -> Result<Vec<Gathered>> {
+    let lanes = Some(("LANES", shape.lanes));
+    let kernels =
+        [ctx.kernel("irradiance", "gather_cosine", lanes)?, ctx.kernel("irradiance", "gather_lights", lanes)?];
+    // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
+    let gather = Gather { light: if lighting.slots == 0 { 0 } else { gather.light }, ..gather };
+    let out = Vec::with_capacity(points.len());
+    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, shape, out };
+    ctx.gather(points.len(), [gather.cosine, gather.light], shape, progress, &mut pass)?;
+    Ok(pass.out)
+}

@@ -1,0 +1,71 @@
+//! Host side of `texels.wgsl`.
+
+use bytemuck::{Pod, Zeroable};
+use texir_core::cpu::texels::{REACH, TILE, TileBins};
+use texir_core::error::Result;
+use texir_core::mesh::Mesh;
+use texir_core::surface::Hit;
+
+use crate::batch::Context;
+
+/// Triangles that a thread looks through in one dispatch: far below the loop iterations that software drivers allow.
+const CANDIDATES: u32 = 8192;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct TexelsParams {
+    pub width: u32,
+    pub height: u32,
+    pub first_row: u32,
+    pub first_candidate: u32,
+    pub candidates: u32,
+    pub reach: f32,
+}
+
+/// See [`texir_core::backend::Backend::texels`].
+pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, width: usize, height: usize) -> Result<Vec<Hit>> {
+    let kernel = ctx.kernel("texels", "texels", Some(("TILE", TILE as u32)))?;
+    let bins = TileBins::new(mesh, width, height);
+    let most = bins.offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
+    let rows = height.div_ceil(TILE);
+    let uvs: Vec<[glam::Vec2; 3]> = (0..mesh.triangles.len() as u32).map(|t| mesh.corner_uvs(t)).collect();
+    let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
+    let offsets = pool.upload(gpu, "bin offsets", &bins.offsets)?;
+    let lists = pool.upload(gpu, "bins", &bins.triangles)?;
+    let uvs = pool.upload(gpu, "corner coordinates", &uvs)?;
+    let hits = pool.reserve(gpu, "hits", (width * height * size_of::<Hit>()) as u64)?;
+    for first_candidate in (0..most.max(1)).step_by(CANDIDATES as usize) {
+        let mut row = 0;
+        while row < rows {
+            // A candidate costs no more than a ray does.
+            let end = rows.min(row + ctx.batch(CANDIDATES.min(most)).div_ceil(width * TILE));
+            let params = ctx.params(&TexelsParams {
+                width: width as u32,
+                height: height as u32,
+                first_row: row as u32,
+                first_candidate,
+                candidates: CANDIDATES,
+                reach: REACH as f32,
+            });
+            let groups = kernel.bind(
+                &ctx.gpu,
+                &[
+                    ("params", params.binding()),
+                    ("bin_offsets", offsets.binding()),
+                    ("bins", lists.binding()),
+                    ("corner_uvs", uvs.binding()),
+                    ("hits", hits.binding()),
+                ],
+            )?;
+            let (columns, count) = (bins.columns as u32, (end - row) as u32);
+            ctx.submit(|pass| kernel.record_grid(pass, &groups, columns, count))?;
+            row = end;
+        }
+    }
+    let mut out: Vec<Hit> = ctx.pool.download(&ctx.gpu, &hits, width * height)?;
+    for hit in &mut out {
+        // From the squared distance to whether the centre is inside.
+        *hit = if hit.is_hit() { Hit { t: f32::from(u8::from(hit.t == 0.0)), ..*hit } } else { Hit::MISS };
+    }
+    Ok(out)
+}

@@ -1,0 +1,239 @@
+//! The scene in device memory: the hierarchy, its triangles and the texture-based lighting.
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec4;
+use texir_core::error::{Error, Result};
+use texir_core::lights::Lights;
+use texir_core::raster::Rgb;
+use texir_core::scene::Scene;
+
+use crate::buffer::{View, keep};
+use crate::gpu::Gpu;
+
+/// Columns of a texture that holds an array; `fetch_texture.wgsl` has the same number.
+const TEXTURE_COLUMNS: u32 = 4096;
+
+/// Levels of the hierarchy that the traversal's stack has room for; `bvh.wgsl` has the same number.
+const STACK_SIZE: usize = 32;
+
+/// Bytes written into a texture at once.
+const TEXTURE_PIECE: usize = 32 << 20;
+
+/// Where the hierarchy lies on the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hierarchy {
+    /// In storage buffers: for GPUs.
+    Buffers,
+    /// In float textures, whose fetches are faster on software drivers.
+    Textures,
+}
+
+impl Hierarchy {
+    /// The faster one for a device.
+    pub fn best(gpu: &Gpu) -> Self {
+        if gpu.is_cpu() { Self::Textures } else { Self::Buffers }
+    }
+}
+
+/// An array for the shader.
+enum Words {
+    Buffer(View),
+    Texture(wgpu::TextureView),
+}
+
+impl Words {
+    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: Hierarchy) -> Result<Self> {
+        if place == Hierarchy::Buffers {
+            return Ok(Self::Buffer(keep(gpu, name, words)?));
+        }
+        let mut padded;
+        let columns = TEXTURE_COLUMNS as usize;
+        let rows = words.len().div_ceil(columns).max(1);
+        let full = if words.len() == rows * columns {
+            words
+        } else {
+            padded = words.to_vec();
+            padded.resize(rows * columns, [0; 4]);
+            &padded
+        };
+        let view = texture(gpu, name, TEXTURE_COLUMNS, rows as u32, |first, count| {
+            bytemuck::cast_slice(&full[first * columns..(first + count) * columns]).to_vec()
+        })?;
+        Ok(Self::Texture(view))
+    }
+
+    fn binding(&self) -> wgpu::BindingResource<'_> {
+        match self {
+            Self::Buffer(view) => view.binding(),
+            Self::Texture(view) => wgpu::BindingResource::TextureView(view),
+        }
+    }
+}
+
+/// The mesh and its hierarchy, ready to be traced.
+pub(crate) struct Geometry {
+    nodes: Words,
+    triangles: Words,
+    triangle_uvs: View,
+}
+
+impl Geometry {
+    pub fn new(gpu: &Gpu, scene: &Scene, place: Hierarchy) -> Result<Self> {
+        let height = height(scene);
+        if height > STACK_SIZE {
+            return Err(Error::device(format!(
+                "the hierarchy of the mesh is {height} levels deep, the traversal takes {STACK_SIZE}: \
+                 are many triangles of the mesh in one place?"
+            )));
+        }
+        let (mesh, order) = (&scene.mesh, &scene.bvh.primitive_indices);
+        let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
+        let mut triangles = Vec::with_capacity(3 * order.len());
+        let mut uvs = Vec::with_capacity(2 * order.len());
+        for &t in order {
+            let [a, b, c] = mesh.corners(t);
+            triangles.extend([word(a, t), word(b - a, 0), word(c - a, 0)]);
+            let [a, b, c] = mesh.corner_uvs(t);
+            uvs.extend([Vec4::new(a.x, a.y, b.x, b.y), Vec4::new(c.x, c.y, 0.0, 0.0)]);
+        }
+        Ok(Self {
+            nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
+            triangles: Words::new(gpu, "triangles", &triangles, place)?,
+            triangle_uvs: keep(gpu, "triangle coordinates", &uvs)?,
+        })
+    }
+
+    /// What tracing passes bind.
+    pub fn bindings(&self) -> [(&'static str, wgpu::BindingResource<'_>); 2] {
+        [("bvh_nodes", self.nodes.binding()), ("bvh_triangles", self.triangles.binding())]
+    }
+
+    /// What gathering passes bind.
+    pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 4] {
+        let [nodes, triangles] = self.bindings();
+        let tbl = ("tbl", wgpu::BindingResource::TextureView(&lighting.tbl));
+        [nodes, triangles, ("triangle_uvs", self.triangle_uvs.binding()), tbl]
+    }
+}
+
+/// One slot of the alias table as `irradiance.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct LightSlot {
+    pub primitive: u32,
+    pub alternative: u32,
+    pub keep: f32,
+    pub pad: f32,
+}
+
+/// The texture-based lighting and the lights in it.
+pub(crate) struct Lighting {
+    /// Outgoing radiance.
+    tbl: wgpu::TextureView,
+    /// Alias table over the lights, by primitive of the hierarchy.
+    pub light_slots: View,
+    /// Its number of entries.
+    pub slots: u32,
+    /// Density per area of the table's draws, per primitive.
+    pub light_density: View,
+}
+
+impl Lighting {
+    pub fn new(gpu: &Gpu, scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<Self> {
+        let order = &scene.bvh.primitive_indices;
+        let triangles = scene.mesh.triangles.len();
+        let known = lights.slots.iter().all(|s| (s.triangle as usize) < triangles && (s.alias as usize) < triangles);
+        if lights.density.len() != triangles || !known {
+            return Err(Error::invalid(format!(
+                "the lights are those of another mesh: {} densities, {triangles} triangles",
+                lights.density.len()
+            )));
+        }
+        let mut primitive_of = vec![0; triangles];
+        for (primitive, &triangle) in order.iter().enumerate() {
+            primitive_of[triangle as usize] = primitive as u32;
+        }
+        let primitive = |t: u32| primitive_of[t as usize];
+        let slots: Vec<LightSlot> = (lights.slots.iter())
+            .map(|s| LightSlot {
+                primitive: primitive(s.triangle),
+                alternative: primitive(s.alias),
+                keep: s.keep,
+                pad: 0.0,
+            })
+            .collect();
+        let density: Vec<f32> = order.iter().map(|&t| lights.density[t as usize]).collect();
+        Ok(Self {
+            tbl: tbl_texture(gpu, radiance)?,
+            light_slots: keep(gpu, "light slots", &slots)?,
+            slots: slots.len() as u32,
+            light_density: keep(gpu, "light densities", &density)?,
+        })
+    }
+}
+
+/// The radiance atlas as a texture.
+fn tbl_texture(gpu: &Gpu, radiance: &Rgb) -> Result<wgpu::TextureView> {
+    if radiance.data.is_empty() {
+        return Err(Error::invalid("the texture-based lighting has no texels"));
+    }
+    texture(gpu, "texture-based lighting", radiance.width as u32, radiance.height as u32, |first, count| {
+        let texels = &radiance.data[first * radiance.width..(first + count) * radiance.width];
+        let rgba: Vec<[f32; 4]> = texels.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
+        bytemuck::cast_slice(&rgba).to_vec()
+    })
+}
+
+/// An rgba32float texture, written in pieces of rows: `rows(first, count)` gives their bytes.
+fn texture(
+    gpu: &Gpu,
+    name: &str,
+    width: u32,
+    height: u32,
+    rows: impl Fn(usize, usize) -> Vec<u8>,
+) -> Result<wgpu::TextureView> {
+    let limit = gpu.device().limits().max_texture_dimension_2d;
+    if width > limit || height > limit {
+        return Err(Error::device(format!(
+            "{}: the {name} needs a {width} × {height} texture, and this device takes at most {limit} × {limit}",
+            gpu.info().name,
+        )));
+    }
+    let texture = gpu.device().create_texture(&wgpu::TextureDescriptor {
+        label: Some(name),
+        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    });
+    let row_bytes = 16 * width;
+    let piece = (TEXTURE_PIECE / row_bytes as usize).max(1) as u32;
+    for first in (0..height).step_by(piece as usize) {
+        let count = piece.min(height - first);
+        gpu.queue().write_texture(
+            wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: first, z: 0 }, ..texture.as_image_copy() },
+            &rows(first as usize, count as usize),
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row_bytes), rows_per_image: None },
+            wgpu::Extent3d { width, height: count, depth_or_array_layers: 1 },
+        );
+        // Otherwise the pieces' staging memory is held until the next submission, all of it at once.
+        gpu.queue().submit([]);
+    }
+    Ok(texture.create_view(&Default::default()))
+}
+
+/// Levels of the hierarchy: at most so many node groups wait on the traversal's stack.
+fn height(scene: &Scene) -> usize {
+    let mut deepest = 0;
+    let mut open = vec![(0u32, 1usize)];
+    while let Some((index, level)) = open.pop() {
+        deepest = deepest.max(level);
+        let node = &scene.bvh.nodes[index as usize];
+        // Inner children lie next to each other.
+        open.extend((0..node.imask.count_ones()).map(|k| (node.child_base_idx + k, level + 1)));
+    }
+    deepest
+}

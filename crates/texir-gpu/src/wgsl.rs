@@ -1,0 +1,199 @@
+//! WGSL sources, how they are composed, and what naga knows of the result.
+//!
+//! `#import name` on a line of its own pulls in `shared/name.wgsl`, once. Some names are stand-ins, for which a
+//! [`Variant`] chooses the module: that keeps a choice out of the compiled kernel altogether. Messages name the file and
+//! line that a piece came from. With the environment variable `TEXIR_DUMP_WGSL=DIR`, every composed source is written
+//! there.
+
+use std::path::Path;
+
+use texir_core::backend::RoughnessGradient;
+use texir_core::error::{Error, Result};
+
+/// Sources by name, as files on disk are: `shade`, or `shared/bvh`.
+#[derive(Clone, Copy)]
+pub struct Library<'a>(pub &'a [(&'a str, &'a str)]);
+
+macro_rules! sources {
+    ($($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!("../../../shaders/", $name, ".wgsl")))),*]
+    };
+}
+
+/// The sources that the crate was built with.
+pub const SHADERS: Library<'static> = Library(sources![
+    "group_loss",
+    "irradiance",
+    "lookup",
+    "mip",
+    "primary",
+    "project",
+    "radiance_loss",
+    "shade",
+    "shade_vjp",
+    "texels",
+    "shared/brdf",
+    "shared/bvh",
+    "shared/camera",
+    "shared/fetch_buffer",
+    "shared/fetch_texture",
+    "shared/hit",
+    "shared/lobe",
+    "shared/math",
+    "shared/rng",
+    "shared/roughness_authors",
+    "shared/roughness_exact",
+    "shared/sampling",
+    "shared/scene",
+    "shared/shading",
+]);
+
+/// Which modules stand behind the stand-in names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Variant {
+    /// `fetch`: the hierarchy in textures (faster on CPU adapters) instead of storage buffers.
+    pub fetch_texture: bool,
+    /// `roughness`: which derivative with respect to roughness shading returns.
+    pub roughness: RoughnessVariant,
+}
+
+/// [`RoughnessGradient`] as part of a key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RoughnessVariant {
+    /// [`RoughnessGradient::Exact`].
+    Exact,
+    /// [`RoughnessGradient::Authors`].
+    Authors,
+}
+
+impl From<RoughnessGradient> for RoughnessVariant {
+    fn from(gradient: RoughnessGradient) -> Self {
+        match gradient {
+            RoughnessGradient::Exact => Self::Exact,
+            RoughnessGradient::Authors => Self::Authors,
+        }
+    }
+}
+
+impl Variant {
+    /// Every variant.
+    pub fn all() -> impl Iterator<Item = Self> {
+        [false, true].into_iter().flat_map(|fetch_texture| {
+            [RoughnessVariant::Exact, RoughnessVariant::Authors].map(|roughness| Self { fetch_texture, roughness })
+        })
+    }
+
+    /// The module behind an imported name.
+    fn module<'n>(&self, name: &'n str) -> &'n str {
+        match (name, self.fetch_texture, self.roughness) {
+            ("fetch", true, _) => "fetch_texture",
+            ("fetch", false, _) => "fetch_buffer",
+            ("roughness", _, RoughnessVariant::Exact) => "roughness_exact",
+            ("roughness", _, RoughnessVariant::Authors) => "roughness_authors",
+            _ => name,
+        }
+    }
+}
+
+/// One WGSL source with all that it imports.
+pub struct Composed {
+    /// The text for the device.
+    pub source: String,
+    /// naga's reading of it.
+    pub module: naga::Module,
+    /// naga's analysis of it: what each entry point uses.
+    pub info: naga::valid::ModuleInfo,
+}
+
+impl Library<'_> {
+    /// Names of the sources that are passes, not shared modules.
+    pub fn passes(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(|(name, _)| *name).filter(|name| !name.starts_with("shared/"))
+    }
+
+    /// Composes and validates the pass `name`.
+    pub fn compose(&self, name: &str, variant: Variant) -> Result<Composed> {
+        let mut text = Text::default();
+        self.append(name, variant, &mut text, None)?;
+        dump(name, variant, &text.source)?;
+        let module = naga::front::wgsl::parse_str(&text.source).map_err(|e| {
+            let at = e.location(&text.source);
+            text.error(name, at, e.message())
+        })?;
+        let mut validator =
+            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::default());
+        let info = validator.validate(&module).map_err(|e| {
+            let at = e.location(&text.source);
+            text.error(name, at, &chain(e.as_inner()))
+        })?;
+        Ok(Composed { source: text.source, module, info })
+    }
+
+    fn append(&self, name: &str, variant: Variant, text: &mut Text, from: Option<(&str, usize)>) -> Result<()> {
+        let Some(&(name, source)) = self.0.iter().find(|(n, _)| *n == name) else {
+            let known: Vec<_> = self.0.iter().filter_map(|(n, _)| n.strip_prefix("shared/")).collect();
+            let place = from.map_or(String::new(), |(file, line)| format!("{file}.wgsl:{line}: "));
+            return Err(Error::device(format!("{place}there is no shader {name:?} (modules: {})", known.join(", "))));
+        };
+        if text.included.iter().any(|n| n == name) {
+            return Ok(());
+        }
+        text.included.push(name.to_owned());
+        for (i, line) in source.lines().enumerate() {
+            match line.strip_prefix("#import ") {
+                Some(import) => {
+                    let module = format!("shared/{}", variant.module(import.trim()));
+                    self.append(&module, variant, text, Some((name, i + 1)))?;
+                }
+                None => text.push(name, i + 1, line),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Composed text that remembers where its lines came from.
+#[derive(Default)]
+struct Text {
+    source: String,
+    included: Vec<String>,
+    /// Per line, the file and the line in it.
+    origins: Vec<(String, usize)>,
+}
+
+impl Text {
+    fn push(&mut self, file: &str, number: usize, line: &str) {
+        self.source.push_str(line);
+        self.source.push('\n');
+        self.origins.push((file.to_owned(), number));
+    }
+
+    /// A message of naga's, mapped back to the file and line that it is about.
+    fn error(&self, name: &str, at: Option<naga::SourceLocation>, message: &str) -> Error {
+        let origin = at.and_then(|l| Some((self.origins.get(l.line_number as usize - 1)?, l.line_position)));
+        Error::device(match origin {
+            Some(((file, line), column)) => format!("{file}.wgsl:{line}:{column}: {message} (composing {name})"),
+            None => format!("{name}.wgsl: {message}"),
+        })
+    }
+}
+
+/// An error with all its causes.
+fn chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(c) = cause {
+        text.push_str(&format!(": {c}"));
+        cause = c.source();
+    }
+    text
+}
+
+fn dump(name: &str, variant: Variant, source: &str) -> Result<()> {
+    let Some(folder) = std::env::var_os("TEXIR_DUMP_WGSL") else { return Ok(()) };
+    let fetch = if variant.fetch_texture { "texture" } else { "buffer" };
+    let file = Path::new(&folder).join(format!("{name}_{fetch}_{:?}.wgsl", variant.roughness).to_lowercase());
+    std::fs::create_dir_all(&folder)
+        .and_then(|()| std::fs::write(&file, source))
+        .map_err(|e| Error::file(&file, format!("cannot write the composed shader (TEXIR_DUMP_WGSL): {e}")))
+}

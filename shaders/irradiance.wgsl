@@ -1,0 +1,159 @@
+// Irradiance gather E = ∫ L cosθ dω (full: cosine and π included) from n_c cosine-distributed directions and n_l points on
+// the lights, combined by the balance heuristic: E = Σ L cosθ / (n_c cosθ/π + n_l p_l), with p_l the lights' density per
+// solid angle (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995).
+//
+// One entry point per technique, so that neither pays for the other's directions. LANES threads share a point, each
+// tracing every LANES-th sample of [first_sample, end_sample); the host bounds a thread's rays, because a CPU driver
+// silently ends an invocation after 65,535 loop iterations. The lanes' sums are added in workgroup memory in a fixed tree
+// (a barrier per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine
+// one starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
+
+#import scene
+#import hit
+#import rng
+#import sampling
+
+// Threads per point: a power of two, at most 64.
+override LANES: u32 = 64u;
+
+struct IrradianceParams {
+    // Points of this dispatch, and the index of its first in the caller's list (which seeds its sequences).
+    count: u32,
+    first_point: u32,
+    // Samples of this dispatch.
+    first_sample: u32,
+    end_sample: u32,
+    // Samples of the whole gather, by technique: n_c and n_l.
+    cosine_samples: u32,
+    light_samples: u32,
+    // Entries of `light_slots`.
+    slots: u32,
+    seed: u32,
+}
+
+// One slot of the alias table over the lights: `primitive` with probability `keep`, else `alternative`.
+struct LightSlot {
+    primitive: u32,
+    alternative: u32,
+    keep: f32,
+    pad: f32,
+}
+
+// What was found at a point.
+struct Gathered {
+    // The running sum of E.
+    irradiance: vec3f,
+    // How many cosine samples met the back of a triangle; after the last of them, their share.
+    back_faces: f32,
+}
+
+@group(1) @binding(0) var<uniform> params: IrradianceParams;
+@group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
+@group(1) @binding(2) var<storage, read> light_slots: array<LightSlot>;
+// Per primitive: density per square metre with which the slots draw a point on it.
+@group(1) @binding(3) var<storage, read> light_density: array<f32>;
+@group(1) @binding(4) var<storage, read_write> gathered: array<Gathered>;
+
+// L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back; 0 for a miss.
+fn contribution(hit: Intersection, direction: vec3f, cosine: f32) -> vec4f {
+    let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
+    let normal = primitive_normal(primitive);
+    let towards = dot(normal, direction);
+    // Density per area · t² / |cosθ'|.
+    let per_solid_angle = light_density[primitive] * hit.t * hit.t / max(abs(towards) / length(normal), 1e-6);
+    let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
+    let light = radiance_at(hit) * (cosine / density);
+    return select(vec4f(light, select(0.0, 1.0, towards > 0.0)), vec4f(0.0), hit.primitive == MISS);
+}
+
+// The point that a thread works on.
+struct Share {
+    // Index within the dispatch, and which of the point's lanes the thread is.
+    item: u32,
+    lane: u32,
+    exists: bool,
+    point: SurfacePoint,
+    // Seed of the point's sequences.
+    seed: u32,
+}
+
+fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
+    let item = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let point = points[min(item, params.count - 1u)];
+    return Share(item, thread % LANES, item < params.count, point, hash2(params.seed, params.first_point + item));
+}
+
+var<workgroup> lane_sums: array<vec4f, 64>;
+
+// Adds the lanes' sums; the result is meant for lane 0.
+fn sum_over_lanes(thread: u32, lane: u32, sum: vec4f) -> vec4f {
+    lane_sums[thread] = sum;
+    for (var stride = LANES / 2u; stride > 0u; stride /= 2u) {
+        workgroupBarrier();
+        if lane < stride {
+            lane_sums[thread] += lane_sums[thread + stride];
+        }
+    }
+    return lane_sums[thread];
+}
+
+@compute @workgroup_size(64)
+fn gather_cosine(
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let own = share_of(thread, workgroup, workgroups);
+    let frame = frame_of(own.point.normal);
+    var sum = vec4f(0.0);
+    for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
+        let local = cosine_direction(sobol2(s, own.seed));
+        let direction = world_from_frame(frame, local);
+        sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z);
+    }
+    var total = sum_over_lanes(thread, own.lane, sum);
+    if own.exists && own.lane == 0u {
+        if params.first_sample > 0u {
+            total += vec4f(gathered[own.item].irradiance, gathered[own.item].back_faces);
+        }
+        if params.end_sample == params.cosine_samples {
+            total.w /= f32(params.cosine_samples);
+        }
+        gathered[own.item] = Gathered(total.xyz, total.w);
+    }
+}
+
+@compute @workgroup_size(64)
+fn gather_lights(
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let own = share_of(thread, workgroup, workgroups);
+    let choice_seed = hash2(own.seed, 2u);
+    let point_seed = hash2(own.seed, 1u);
+    var sum = vec3f(0.0);
+    for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
+        let scaled = sobol2(s, choice_seed).x * f32(params.slots);
+        let slot = light_slots[min(u32(scaled), params.slots - 1u)];
+        let primitive = select(slot.alternative, slot.primitive, fract(scaled) < slot.keep);
+        // A uniform point on the triangle, by the square-root map.
+        let u = sobol2(s, point_seed);
+        let root = sqrt(u.x);
+        let v0 = bitcast<vec3f>(triangle_word(primitive * 3u).xyz);
+        let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
+        let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
+        let target_point = v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y);
+        let direction = normalize(target_point - own.point.position);
+        let cosine = dot(own.point.normal, direction);
+        // A negative limit makes the traversal end at once for lights below the horizon.
+        let hit = closest_hit(own.point.position, direction, select(-1.0, T_FAR, cosine > 0.0));
+        if hit.primitive == primitive {
+            sum += contribution(hit, direction, cosine).xyz;
+        }
+    }
+    let total = sum_over_lanes(thread, own.lane, vec4f(sum, 0.0)).xyz;
+    if own.exists && own.lane == 0u {
+        gathered[own.item].irradiance += total;
+    }
+}

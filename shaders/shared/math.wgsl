@@ -1,0 +1,26 @@
+// Constants, trigonometry and thread indices.
+
+const PI: f32 = 3.14159265358979;
+const TAU: f32 = 6.28318530717959;
+const INV_PI: f32 = 0.318309886183791;
+
+// (sin, cos) of 2πv for |v| ≤ 1, to a few 1e-7. The built-in functions may be off by 2^-11 (Vulkan, "Precision and
+// Operation of SPIR-V Instructions"), and differently on every adapter. Taylor series around the nearest quarter turn.
+fn sincos_turns(v: f32) -> vec2f {
+    let quarter = round(4.0 * v);
+    let x = TAU * (v - 0.25 * quarter);
+    let x2 = x * x;
+    let s = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0 + x2 / 362880.0))));
+    let c = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40320.0 - x2 / 3628800.0))));
+    let q = u32(i32(quarter) & 3);
+    let swapped = select(vec2f(s, c), vec2f(c, s), (q & 1u) != 0u);
+    return vec2f(
+        select(swapped.x, -swapped.x, q >= 2u),
+        select(swapped.y, -swapped.y, q == 1u || q == 2u),
+    );
+}
+
+// Index of a workgroup in a dispatch that the host folded into two dimensions (one holds at most 65,535).
+fn linear_workgroup(workgroup: vec3u, workgroups: vec3u) -> u32 {
+    return workgroup.y * workgroups.x + workgroup.x;
+}

@@ -1,0 +1,281 @@
+//! What must not change a gathered sum: the shape of the kernel, how work is cut, and whether a closed room of one
+//! radiance is looked at from here or there. And what must stop one.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient, Sampling, ShadePoint};
+use texir_core::brdf::{fresnel_weight, masking};
+use texir_core::cpu::CpuBackend;
+use texir_core::error::Error;
+use texir_core::lights::Lights;
+use texir_core::progress::{Progress, Silent};
+use texir_core::raster::Rgb;
+use texir_core::rng::{hash, sobol2};
+use texir_core::scene::Scene;
+use texir_core::surface::{Hit, SurfacePoint};
+use texir_gpu::{GatherShape, Gpu, GpuBackend, Hierarchy};
+use texir_tests::compare::{Tolerance, lanes3};
+use texir_tests::{gpu, scenes};
+
+/// Sums of some thousand numbers in another order.
+const ROUNDING: Tolerance = Tolerance { absolute: 0.0, relative: 2e-5 };
+
+fn room() -> Scene {
+    let mut mesh = scenes::furnished_room();
+    mesh.flat_normals();
+    Scene::new(mesh).unwrap()
+}
+
+fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
+    (0..count)
+        .map(|i| {
+            let triangle = hash(i) % scene.mesh.triangles.len() as u32;
+            let [u, v] = sobol2(i, 9).map(|x| 0.05 + 0.45 * x);
+            SurfacePoint::new(&scene.mesh, &Hit { triangle, u, v, t: 0.0 }, None)
+        })
+        .collect()
+}
+
+/// Lights a backend by [`scenes::smooth_light`].
+fn light(backend: &mut dyn Backend, scene: &Scene) {
+    let radiance = scenes::smooth_light(192);
+    let lights = scenes::lights(backend, scene, &radiance);
+    assert!(!lights.slots.is_empty());
+    backend.set_tbl(&radiance, &lights).unwrap();
+}
+
+fn lit<'a>(gpu: &Gpu, scene: &'a Scene) -> GpuBackend<'a> {
+    let mut backend = GpuBackend::new(gpu, scene).unwrap();
+    light(&mut backend, scene);
+    backend
+}
+
+/// Irradiance and share of back faces as lanes.
+fn flat(gathered: &[Gathered]) -> Vec<f64> {
+    gathered
+        .iter()
+        .flat_map(|g| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces])
+        .map(f64::from)
+        .collect()
+}
+
+fn shading(points: &[SurfacePoint]) -> (Vec<ShadePoint>, Vec<Material>) {
+    let pixel = |(i, p): (usize, &SurfacePoint)| {
+        let n = glam::Vec3::from(p.normal);
+        let view = (n + 0.7 * n.any_orthonormal_vector()).normalize();
+        let point = ShadePoint {
+            position: p.position,
+            sequence: i as u32,
+            normal: p.normal,
+            pad0: 0.0,
+            view: view.to_array(),
+            pad1: 0.0,
+            irradiance: [1.0, 2.0, 3.0],
+            pad2: 0.0,
+        };
+        (point, Material::dielectric([0.5, 0.4, 0.3], 0.05 + 0.1 * (i % 9) as f32))
+    };
+    points.iter().enumerate().map(pixel).unzip()
+}
+
+#[test]
+fn many_samples_give_the_same_sum_in_every_shape() {
+    // Software drivers end a thread after 65,535 loop iterations without a word: shapes that put many rays into one
+    // thread would come out darker, and the host must not let that happen.
+    let scene = room();
+    let mut backend = lit(&gpu(), &scene);
+    let mut cpu = CpuBackend::new(&scene);
+    light(&mut cpu, &scene);
+    let points = points(&scene, 4);
+    for (samples, shapes) in [(2048, vec![(1, 64)]), (4096, vec![(64, 64), (8, 64)]), (8192, vec![(64, 32), (32, 27)])]
+    {
+        let gather = Gather { cosine: samples, light: samples / 2, seed: 2 };
+        let expected = flat(&cpu.irradiance(&points, gather, &Silent).unwrap());
+        for (lanes, rays) in shapes {
+            backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
+            let got = flat(&backend.irradiance(&points, gather, &Silent).unwrap());
+            // Traversals differ, and so do a few of thousands of hits at the edges of texels.
+            let traced = Tolerance { absolute: 0.0, relative: 2e-4 };
+            traced.check(&format!("{samples} samples, {lanes} lanes of {rays}"), &got, &expected);
+        }
+        // Negative control: a hundredth of the samples lost would be noticed.
+        let darker: Vec<f64> = expected.iter().map(|e| 0.99 * e).collect();
+        assert!(ROUNDING.failures(&darker, &expected).len() >= 3 * points.len());
+    }
+}
+
+#[test]
+fn buffers_and_textures_hold_the_same_hierarchy() {
+    let gpu = gpu();
+    let scene = room();
+    let points = points(&scene, 200);
+    let [buffers, textures] = [Hierarchy::Buffers, Hierarchy::Textures].map(|place| {
+        let mut backend = GpuBackend::with_hierarchy(&gpu, &scene, place).unwrap();
+        light(&mut backend, &scene);
+        let e = backend.irradiance(&points, Gather { cosine: 64, light: 64, seed: 6 }, &Silent).unwrap();
+        (e, backend.primary(&scenes::cameras()[0]).unwrap())
+    });
+    ROUNDING.check("E", &flat(&buffers.0), &flat(&textures.0));
+    assert!(buffers.1.iter().zip(&textures.1).all(|(a, b)| a.triangle == b.triangle));
+}
+
+#[test]
+fn few_samples_give_the_same_sum_in_every_shape() {
+    let scene = room();
+    let mut backend = lit(&gpu(), &scene);
+    let points = points(&scene, 70);
+    let (pixels, materials) = shading(&points);
+    let sampling = Sampling { samples: 50, seed: 2 };
+    let mut expected: Option<(Vec<f64>, Vec<f64>)> = None;
+    for (lanes, rays) in [(64, 32), (16, 4), (4, 3), (1, 1), (2, 64)] {
+        backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
+        let e = flat(&backend.irradiance(&points, Gather { cosine: 50, light: 21, seed: 2 }, &Silent).unwrap());
+        let shaded = backend.shade(&pixels, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
+        let l = shaded.iter().flat_map(|s| [s.radiance, s.specular_scale]).flatten().map(f64::from).collect();
+        let (expected_e, expected_l) = expected.get_or_insert((e.clone(), l));
+        ROUNDING.check("E", &e, expected_e);
+        let l: Vec<f64> = shaded.iter().flat_map(|s| [s.radiance, s.specular_scale]).flatten().map(f64::from).collect();
+        ROUNDING.check("L_o and A", &l, expected_l);
+    }
+    for shape in
+        [GatherShape { lanes: 48, rays: 4 }, GatherShape { lanes: 128, rays: 1 }, GatherShape { lanes: 8, rays: 0 }]
+    {
+        assert!(backend.set_gather_shape(Some(shape)).is_err(), "{shape:?}");
+    }
+}
+
+#[test]
+fn a_closed_room_of_one_radiance_is_a_furnace() {
+    let scene = room();
+    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    backend.set_tbl(&Rgb::filled(3, 2, [2.0, 1.0, 0.25]), &Lights::none(&scene.mesh)).unwrap();
+    let points = points(&scene, 300);
+    let expected: Vec<f64> = points.iter().flat_map(|_| [2.0, 1.0, 0.25].map(|l| std::f64::consts::PI * l)).collect();
+    for samples in [1, 16, 64, 256, 4096] {
+        let points = &points[..if samples > 256 { 10 } else { points.len() }];
+        // The light samples have nothing to aim at, and must not count.
+        let gather = Gather { cosine: samples, light: samples, seed: samples };
+        let got = backend.irradiance(points, gather, &Silent).unwrap();
+        let e = lanes3(got.iter().map(|g| &g.irradiance));
+        ROUNDING.check(&format!("E = πL, {samples} samples"), &e, &expected[..3 * points.len()]);
+        assert!(got.iter().all(|g| g.back_faces == 0.0));
+    }
+    // A nearly perfect mirror reflects L·F, times the masking g(nl) g(nv) nl nv that the model keeps even there.
+    let (pixels, _) = shading(&points);
+    let roughness = 0.01;
+    let mirrors = vec![Material { metallic: 1.0, ..Material::dielectric([1.0, 0.7, 0.2], roughness) }; pixels.len()];
+    let sampling = Sampling { samples: 16, seed: 3 };
+    let shaded = backend.shade(&pixels, &mirrors, sampling, RoughnessGradient::Exact, &Silent).unwrap();
+    let nv = 1.0 / 1.49f64.sqrt();
+    let weight = (masking(nv, f64::from(roughness)) * nv).powi(2);
+    let x = fresnel_weight(nv);
+    let reflected = |f0: f64, l: f64| weight * l * (f0 * (1.0 - x) + x);
+    let expected: Vec<f64> =
+        pixels.iter().flat_map(|_| [reflected(1.0, 2.0), reflected(0.7, 1.0), reflected(0.2, 0.25)]).collect();
+    let narrow = Tolerance { absolute: 0.0, relative: 2e-3 };
+    narrow.check("mirror", &lanes3(shaded.iter().map(|s| &s.radiance)), &expected);
+}
+
+#[test]
+fn the_same_call_gives_the_same_bits_however_it_is_cut() {
+    let gpu = gpu();
+    let scene = room();
+    let mut backend = lit(&gpu, &scene);
+    let points = points(&scene, 3000);
+    let gather = Gather { cosine: 128, light: 64, seed: 4 };
+    let whole = backend.irradiance(&points, gather, &Silent).unwrap();
+    // The second call has measured the device, and cuts elsewhere; a new backend starts over.
+    assert!(whole == backend.irradiance(&points, gather, &Silent).unwrap());
+    let mut fresh = lit(&gpu, &scene);
+    assert!(whole[..40] == fresh.irradiance(&points[..40], gather, &Silent).unwrap()[..]);
+    // Negative control: an item's samples follow its index.
+    assert!(whole[1..41] != fresh.irradiance(&points[1..41], gather, &Silent).unwrap()[..]);
+
+    let (pixels, materials) = shading(&points);
+    let sampling = Sampling { samples: 128, seed: 4 };
+    let shade = |backend: &mut GpuBackend, from: usize| {
+        let gradient = RoughnessGradient::Authors;
+        backend.shade(&pixels[from..], &materials[from..], sampling, gradient, &Silent).unwrap()
+    };
+    let whole = shade(&mut backend, 0);
+    // A pixel's samples follow the sequence that it carries, so that a subset shades alike.
+    assert!(whole[777..] == shade(&mut fresh, 777)[..]);
+}
+
+/// Counts what it is told, and cancels after a number of rays.
+struct Counter {
+    rays: AtomicU64,
+    limit: u64,
+}
+
+impl Progress for Counter {
+    fn start(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, done: u64) {
+        self.rays.fetch_add(done, Ordering::Relaxed);
+    }
+    fn finish(&self) {}
+    fn warn(&self, message: &str) {
+        panic!("warned: {message}");
+    }
+    fn cancelled(&self) -> bool {
+        self.rays.load(Ordering::Relaxed) >= self.limit
+    }
+}
+
+#[test]
+fn progress_counts_every_ray_and_cancelling_stops() {
+    let scene = room();
+    let mut backend = lit(&gpu(), &scene);
+    let points = points(&scene, 3000);
+    let gather = Gather { cosine: 80, light: 20, seed: 4 };
+    let counter = Counter { rays: AtomicU64::new(0), limit: u64::MAX };
+    backend.irradiance(&points, gather, &counter).unwrap();
+    assert_eq!(counter.rays.into_inner(), 300_000);
+    let counter = Counter { rays: AtomicU64::new(0), limit: 1 };
+    let mut fresh = lit(&gpu(), &scene);
+    assert!(matches!(fresh.irradiance(&points, gather, &counter), Err(Error::Cancelled)));
+    let done = counter.rays.into_inner();
+    assert!(done > 0 && done < 300_000, "{done} rays were traced");
+}
+
+#[test]
+fn empty_work_gives_empty_results() {
+    let scene = room();
+    let mut backend = lit(&gpu(), &scene);
+    let sampling = Sampling { samples: 16, seed: 1 };
+    assert!(backend.irradiance(&[], Gather { cosine: 16, light: 4, seed: 1 }, &Silent).unwrap().is_empty());
+    assert!(backend.shade(&[], &[], sampling, RoughnessGradient::Exact, &Silent).unwrap().is_empty());
+    assert!(backend.shade_vjp(&[], &[], &[], &[]).unwrap().is_empty());
+    assert!(backend.project(&[], &scenes::cameras()[0]).unwrap().is_empty());
+    assert!(backend.radiance_loss(&[], &[], &[]).unwrap().gradient.is_empty());
+    assert!(backend.texels(0, 5).unwrap().is_empty());
+}
+
+#[test]
+fn misuse_is_an_error() {
+    let scene = room();
+    let gpu = gpu();
+    let mut backend = GpuBackend::new(&gpu, &scene).unwrap();
+    let points = points(&scene, 2);
+    let one = Gather { cosine: 1, light: 0, seed: 0 };
+    let unlit = backend.irradiance(&points, one, &Silent).unwrap_err().to_string();
+    assert!(unlit.contains("lighting"), "{unlit}");
+    let dark = Lights::none(&scene.mesh);
+    backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
+    let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
+    assert!(none.contains("samples"), "{none}");
+    let foreign = Lights { density: vec![0.0; 3], ..dark.clone() };
+    let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
+    assert!(foreign.contains("another mesh"), "{foreign}");
+    let (pixels, materials) = shading(&points);
+    let few =
+        backend.shade(&pixels, &materials[1..], Sampling { samples: 1, seed: 0 }, RoughnessGradient::Exact, &Silent);
+    assert!(few.unwrap_err().to_string().contains("materials"));
+    // Larger than the device binds or makes: an error with the figures, not a lost device.
+    let limit = gpu.device().limits().max_texture_dimension_2d as usize;
+    let wide = backend.set_tbl(&Rgb::filled(limit + 1, 1, [1.0; 3]), &dark).unwrap_err().to_string();
+    assert!(wide.contains(&format!("{limit} × {limit}")), "{wide}");
+    assert!(backend.irradiance(&points, one, &Silent).is_ok());
+    let unknown = Gpu::headless(Some("no such adapter")).err().unwrap().to_string();
+    assert!(unknown.contains("no such adapter"), "{unknown}");
+}
