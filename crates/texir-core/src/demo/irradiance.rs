@@ -25,6 +25,8 @@ const SHRINK: usize = 2;
 const TOLERANCE: f64 = 1e-5;
 /// Bounces stop here even so.
 const MAX_BOUNCES: usize = 64;
+/// Passes of the 3×3 filter over direct light: a standard deviation of one texel, so that shadows stay sharp.
+const DIRECT_SMOOTHING: usize = 2;
 /// Passes of the 3×3 filter over the indirect solution, which varies slowly: a standard deviation of 1.4 of its texels.
 const INDIRECT_SMOOTHING: usize = 4;
 /// Texels between two looks at progress and cancellation.
@@ -62,7 +64,7 @@ pub(super) fn solve(world: &World, options: &RenderOptions, progress: &dyn Progr
     progress.start("demo: direct light", fine.len() as u64, "texels");
     let direct = for_texels(&fine, progress, |texel| direct(world, options, texel))?;
     progress.finish();
-    let direct = smoothed(side, &fine, direct, 1);
+    let direct = smoothed(side, &fine, direct, DIRECT_SMOOTHING);
 
     progress.start("demo: indirect light", coarse.len() as u64, "texels");
     let gathered = for_texels(&coarse, progress, |texel| gather(world, options, texel))?;
@@ -122,7 +124,7 @@ fn direct(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
     let room = world.flat.charts[texel.chart].look.room;
     let position = offset_origin(point.position, point.normal);
     let choice = world.emitters.choice(position, point.normal, room);
-    let (lights, cosines) = (options.light_samples, (options.light_samples / 2).max(4));
+    let (lights, cosines) = (options.light_samples, (options.light_samples / 4).max(4));
     let joint = |p_light: f32, cosine: f32| lights as f32 * p_light + cosines as f32 * cosine / std::f32::consts::PI;
     let (mut sum, mut backs) = (Vec3::ZERO, 0);
     let seed = stream(options.seed, 1, texel.texel);
