@@ -1,4 +1,4 @@
-// Smoothness over groups of pixels: Σ_g mean |value − target_g| and its gradient (method section 3). The target is the
+// Smoothness over groups of pixels: the mean over pixels of |value − target_group| and its gradient (method section 3). The target is the
 // group's mean, through which the gradient flows, or a quantile of its reference members, held fixed.
 //
 // A workgroup owns one group and channel; its 256 threads stride over the members. Sums are added in a fixed tree, a
@@ -15,6 +15,8 @@ struct GroupLossParams {
     quantile: f32,
     // Groups × channels: the number of jobs.
     jobs: u32,
+    // Weight of one value in the loss: 1 / (pixels of all groups × channels).
+    share: f32,
 }
 
 @group(1) @binding(0) var<uniform> params: GroupLossParams;
@@ -71,7 +73,7 @@ fn sum_over_threads(thread: u32, value: vec2f) -> vec2f {
 }
 
 // Writes the loss and the gradient of the members [first, end), drawn to `aim`; `through_aim` (0 or 1) lets the gradient
-// flow through the mean: (sign_i − mean sign) / n.
+// flow through the mean: sign_i − mean sign, times the share.
 fn draw(job: Job, thread: u32, first: u32, aim: f32, through_aim: f32) {
     let count = f32(max(job.end - first, 1u));
     var local = vec2f(0.0);
@@ -80,13 +82,12 @@ fn draw(job: Job, thread: u32, first: u32, aim: f32, through_aim: f32) {
         local += vec2f(abs(difference), sign(difference));
     }
     let total = sum_over_threads(thread, local);
-    let share = 1.0 / (count * f32(params.channels));
     for (var m = first + thread; job.exists && m < job.end; m += THREADS) {
         let at = slot(job, m);
-        d_values[at] = (sign(values[at] - aim) - through_aim * total.y / count) * share;
+        d_values[at] = (sign(values[at] - aim) - through_aim * total.y / count) * params.share;
     }
     if job.exists && thread == 0u {
-        losses[job.index] = total.x * share;
+        losses[job.index] = total.x * params.share;
     }
 }
 

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Parser, ValueEnum};
 use serde::{Deserialize, Serialize};
 use texir_core::backend::Sampling;
-use texir_core::fit::settings::FitSettings;
+use texir_core::fit::FitSettings;
+use toml::{Table, Value};
 
 use crate::cmd::Command;
 use crate::failure::Failure;
@@ -38,6 +39,9 @@ pub struct Common {
     /// Take settings from a TOML file, such as the settings.toml of an earlier fit
     #[arg(long, global = true, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Change one setting of the file, such as fit.stage_two.enabled=false
+    #[arg(long = "set", global = true, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
     /// Say more
     #[arg(short, long, global = true)]
     pub verbose: bool,
@@ -78,7 +82,18 @@ pub struct Config {
 impl Config {
     /// The file's settings, where one is given, under the typed ones.
     pub fn resolve(common: &Common) -> Result<Self, Failure> {
-        let file = common.config.as_deref().map(Self::read).transpose()?.unwrap_or_default();
+        let mut table = common.config.as_deref().map(read).transpose()?.unwrap_or_default();
+        for assignment in &common.set {
+            let change: Table = assignment.parse().map_err(|_| {
+                Failure::new(format!("--set {assignment}: expected KEY=VALUE, the value as TOML has it"))
+            })?;
+            merge(&mut table, change);
+        }
+        let file: Self = table.try_into().map_err(|e| {
+            let from = common.config.as_ref().map_or("--set".to_owned(), |path| path.display().to_string());
+            Failure::new(format!("{from}: {e}"))
+                .help("every fit writes its settings to settings.toml, which is a complete example")
+        })?;
         let seed = common.seed.unwrap_or(file.fit.seed);
         let config = Self {
             backend: common.backend.unwrap_or(file.backend),
@@ -96,13 +111,20 @@ impl Config {
     pub fn sampling(&self, samples: u32) -> Sampling {
         Sampling { samples, seed: self.fit.seed }
     }
+}
 
-    fn read(path: &Path) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-        toml::from_str(&text).map_err(|e| {
-            Failure::new(format!("{}: {e}", path.display()))
-                .help("every fit writes its settings to settings.toml, which is a complete example")
-        })
+fn read(path: &Path) -> Result<Table, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+    text.parse().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}
+
+/// Puts `change` into `table`, joining tables of one name.
+fn merge(table: &mut Table, change: Table) {
+    for (key, value) in change {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(change)) => merge(inner, change),
+            (_, value) => drop(table.insert(key, value)),
+        }
     }
 }
 
@@ -130,6 +152,17 @@ mod tests {
         assert_eq!((config.fit.seed, config.backend), (7, BackendChoice::Cpu));
         let config = Config::resolve(&common(&["--config", path, "--seed", "9"])).unwrap();
         assert_eq!((config.fit.seed, config.backend), (9, BackendChoice::Cpu));
+    }
+
+    #[test]
+    fn single_settings_change() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[fit.stage_two]\nquantile = 0.3\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let config = Config::resolve(&common(&["--config", path, "--set", "fit.stage_two.enabled=false"])).unwrap();
+        assert_eq!((config.fit.stage_two.enabled, config.fit.stage_two.quantile), (false, 0.3));
+        assert!(Config::resolve(&common(&["--set", "fit.stage_two"])).is_err());
+        assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
     }
 
     #[test]

@@ -4,7 +4,9 @@
 mod args;
 mod cmd;
 mod console;
+mod device;
 mod failure;
+mod figures;
 mod report;
 
 use std::process::ExitCode;
@@ -12,6 +14,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use crate::args::{Cli, Config};
+use crate::cmd::Session;
 use crate::console::{Console, Verbosity};
 use crate::failure::Failure;
 
@@ -20,7 +23,7 @@ fn main() -> ExitCode {
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) if failure.interrupted() => {
-            eprintln!("interrupted: nothing was written");
+            eprintln!("interrupted");
             ExitCode::from(console::INTERRUPTED)
         }
         Err(failure) => {
@@ -38,7 +41,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         _ => Verbosity::Normal,
     };
     let console = Console::new(verbosity)?;
-    let result = cmd::run(&cli.command, &Config::resolve(common)?, common.json, &console);
+    let session = Session { config: &Config::resolve(common)?, console: &console, json: common.json };
+    let result = cmd::run(&cli.command, &session);
     console.clear();
     result
 }

@@ -240,8 +240,9 @@ pub trait Backend {
     /// Image loss: the weighted mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x).
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>>;
 
-    /// Σ over groups of mean |value − target(group)|; `values` holds `channels` numbers per pixel, and the mean is over
-    /// members and channels.
+    /// Mean of |value − target(group)| over the pixels of all groups and over channels; `values` holds `channels` numbers
+    /// per pixel. A class counts by its pixels, so that the term keeps its balance with the image loss, which is a mean
+    /// over pixels too.
     fn group_loss(
         &mut self,
         values: &[f32],

@@ -350,3 +350,6 @@ fn encoded(image: &Rgb) -> Rgb {
 fn scaled(image: &Rgb, scale: f64) -> Rgb {
     image.map(|p| p.map(|c| (f64::from(c) * scale) as f32))
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
+use crate::capture::Tbl;
 use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb, write_gray, write_rgb};
 use crate::mesh::Mesh;
 use crate::mesh_io;
-use crate::raster::Rgb;
+use crate::progress::Progress;
 use crate::render::Textures;
 
 /// Linear albedo, OpenEXR.
@@ -23,7 +24,8 @@ pub const IRRADIANCE: &str = "irradiance.exr";
 pub const EMISSION: &str = "emission.exr";
 /// Texture-based lighting, OpenEXR.
 pub const HDR_TEXTURE: &str = "hdr_texture.exr";
-/// Where the texture-based lighting was seen (255), inpainted (128), or is outside the charts (0), PNG.
+/// Where the texture-based lighting was seen (255), inpainted (128), or is outside the charts (0), PNG; the name that
+/// [`Tbl::mask_path`] gives.
 pub const HDR_TEXTURE_MASK: &str = "hdr_texture_mask.png";
 /// Floor plan with room ids, PNG.
 pub const ROOMS: &str = "rooms.png";
@@ -78,27 +80,26 @@ pub struct Run {
 pub struct FitOutput {
     /// The mesh, in the capture's frame.
     pub mesh: Mesh,
-    /// Radiance of the texture-based lighting.
-    pub hdr_texture: Rgb,
+    /// Texture-based lighting.
+    pub tbl: Tbl,
     /// Materials and light.
     pub textures: Textures,
 }
 
 impl FitOutput {
-    /// Writes textures, mesh and GLB.
+    /// Writes mesh and textures.
     pub fn save(&self, folder: &Path) -> Result<()> {
         let Textures { albedo, roughness, irradiance, emission } = &self.textures;
         write_rgb(folder.join(ALBEDO), albedo)?;
         write_gray(folder.join(ROUGHNESS), roughness)?;
         write_rgb(folder.join(IRRADIANCE), irradiance)?;
         write_rgb(folder.join(EMISSION), emission)?;
-        write_rgb(folder.join(HDR_TEXTURE), &self.hdr_texture)?;
-        mesh_io::obj::write(folder.join(MESH), &self.mesh)?;
-        Ok(())
+        self.tbl.write(folder.join(HDR_TEXTURE))?;
+        mesh_io::obj::write(folder.join(MESH), &self.mesh)
     }
 
     /// Reads what [`FitOutput::save`] wrote.
-    pub fn load(folder: &Path) -> Result<Self> {
+    pub fn load(folder: &Path, progress: &dyn Progress) -> Result<Self> {
         if !folder.join(ALBEDO).is_file() {
             return Err(Error::file(
                 folder,
@@ -111,8 +112,8 @@ impl FitOutput {
             irradiance: read_rgb(folder.join(IRRADIANCE))?,
             emission: read_rgb(folder.join(EMISSION))?,
         };
-        let hdr_texture = read_rgb(folder.join(HDR_TEXTURE))?;
-        Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, hdr_texture, textures })
+        let tbl = Tbl::read(folder.join(HDR_TEXTURE), progress)?;
+        Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, tbl, textures })
     }
 }
 
@@ -164,6 +165,7 @@ impl Staging {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::progress::Silent;
 
     fn names(folder: &Path) -> Vec<String> {
         let mut names: Vec<String> =
@@ -212,6 +214,6 @@ mod tests {
         let error = Staging::new(file.path()).unwrap_err().to_string();
         assert!(error.contains(&file.path().display().to_string()), "{error}");
         let folder = tempfile::tempdir().unwrap();
-        assert!(FitOutput::load(folder.path()).unwrap_err().to_string().contains("albedo.exr"));
+        assert!(FitOutput::load(folder.path(), &Silent).unwrap_err().to_string().contains("albedo.exr"));
     }
 }

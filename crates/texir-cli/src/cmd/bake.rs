@@ -5,9 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use texir_core::atlas::Atlas;
+use texir_core::backend::{Backend, Gather};
 use texir_core::bake;
 use texir_core::capture::{self, LoadOptions};
-use texir_core::image_io::{read_rgb, sanitise_radiance, write_rgb};
+use texir_core::image_io::write_rgb;
+use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
 use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
@@ -31,9 +33,12 @@ pub struct Bake {
     /// Side of the map, texels [default: the HDR texture's]
     #[arg(long, value_name = "N")]
     size: Option<usize>,
-    /// Rays per texel, cosine-distributed
+    /// Rays per texel: half of them cosine-distributed, half towards the light sources
     #[arg(long, value_name = "N", default_value_t = 1024)]
     spp: u32,
+    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them
+    #[arg(long)]
+    cosine_only: bool,
 }
 
 /// What `--json` prints.
@@ -43,6 +48,8 @@ struct Summary {
     width: usize,
     height: usize,
     texels: usize,
+    /// Texels inside other geometry, which took a neighbour's value.
+    buried: usize,
     rays: u64,
 }
 
@@ -61,15 +68,27 @@ impl Bake {
                 tbl::build(backend.as_mut(), &scene, &capture, size, session)?.radiance
             }
         };
-        backend.set_tbl(&radiance)?;
         let (width, height) = self.size.map_or(radiance.size(), |side| (side, side));
         let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
-        let irradiance = bake::irradiance(backend.as_mut(), &atlas, session.config.sampling(self.spp), session.console)?;
-        write_rgb(&self.output, &irradiance)?;
+        let lights = self.lights(backend.as_mut(), &scene, &radiance)?;
+        backend.set_tbl(&radiance, &lights)?;
+        let light = if self.cosine_only { 0 } else { self.spp / 2 };
+        let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
+        let baked = bake::irradiance(backend.as_mut(), &atlas, gather, session.console)?;
+        write_rgb(&self.output, &baked.irradiance)?;
         let texels = atlas.texels.len();
         let rays = texels as u64 * u64::from(self.spp);
-        let summary = Summary { output: self.output.clone(), width, height, texels, rays };
+        let summary = Summary { output: self.output.clone(), width, height, texels, buried: baked.buried, rays };
         session.print(&summary, || format!("{}: {width} × {height}, {texels} texels", summary.output.display()))
+    }
+
+    /// The light sources that rays are sent to.
+    fn lights(&self, backend: &mut dyn Backend, scene: &Scene, radiance: &Rgb) -> Result<Lights, Failure> {
+        if self.cosine_only {
+            return Ok(Lights::none(&scene.mesh));
+        }
+        let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
+        Ok(Lights::find(&scene.mesh, &atlas, radiance))
     }
 
     fn load(&self, session: &Session<'_>) -> Result<(Scene, Light), Failure> {
@@ -89,12 +108,8 @@ impl Bake {
         };
         let file = read_mesh(&self.input)?;
         file.warnings.iter().for_each(|warning| session.console.warn(warning));
-        let mut radiance = read_rgb(texture)?;
-        let repaired = sanitise_radiance(&mut radiance);
-        if !repaired.is_clean() {
-            session.console.warn(&format!("{}: {repaired}", texture.display()));
-        }
-        Ok((Scene::new(file.mesh)?, Light::Texture(radiance)))
+        let tbl = capture::Tbl::read(texture, session.console)?;
+        Ok((Scene::new(file.mesh)?, Light::Texture(tbl.radiance)))
     }
 }
 

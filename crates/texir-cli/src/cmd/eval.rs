@@ -6,6 +6,7 @@ use clap::Args;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::{self, Capture, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
+use texir_core::lights::Lights;
 use texir_core::outputs::{FitOutput, METRICS, RUN, Run};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -34,7 +35,7 @@ pub struct Eval {
 impl Eval {
     /// Evaluates, writes `metrics.json`, prints the table.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        let output = FitOutput::load(&self.out)?;
+        let output = FitOutput::load(&self.out, session.console)?;
         let capture = load_capture(&self.out, self.capture.as_deref(), session)?;
         let evaluation = of_output(&output, &capture, self.spp, session, &mut |_| ())?;
         write_metrics(&self.out, &evaluation)?;
@@ -52,7 +53,7 @@ pub fn of_output(
 ) -> Result<Evaluation, Failure> {
     let scene = Scene::new(output.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
-    backend.set_tbl(&output.hdr_texture)?;
+    backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
     let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(samples));
     Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
 }
@@ -61,9 +62,7 @@ pub fn of_output(
 pub fn load_capture(out: &Path, given: Option<&Path>, session: &Session<'_>) -> Result<Capture, Failure> {
     let folder = match given {
         Some(folder) => folder.to_owned(),
-        None => {
-            read_run(out).map_err(|failure| failure.help("name the capture with --capture"))?.capture
-        }
+        None => read_run(out).map_err(|failure| failure.help("name the capture with --capture"))?.capture,
     };
     capture::load(&folder, &LoadOptions::default(), session.console)
         .context(format!("the capture {} could not be read", folder.display()))

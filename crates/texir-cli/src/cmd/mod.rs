@@ -1,7 +1,9 @@
 //! One file per command, each thin: arguments → library → what the user is told.
 
 mod bake;
+mod demo;
 mod eval;
+mod fit;
 mod inspect;
 mod render;
 mod report;
@@ -21,12 +23,16 @@ use crate::failure::Failure;
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Make a synthetic flat, path-trace it and fit it: everything at once, without any input
+    Demo(demo::Demo),
     /// Dry run: what is found in a capture and assumed of it, checks of cameras and atlas, cost of a fit
     Inspect(inspect::Inspect),
     /// Build the HDR texture (texture-based lighting) of a capture from its views
     Tbl(tbl::Tbl),
     /// Bake irradiance: what light arrives at every texel of the atlas
     Bake(bake::Bake),
+    /// Fit materials to a capture: albedo, roughness, irradiance, a GLB, figures and a report
+    Fit(fit::Fit),
     /// Render the result of a fit from other cameras
     Render(render::Render),
     /// Compare the result of a fit with the truth, beside what true materials would reach
@@ -49,7 +55,8 @@ impl Session<'_> {
     /// Prints a result on standard output.
     fn print(&self, result: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
         let text = if self.json {
-            serde_json::to_string_pretty(result).map_err(|e| Failure::new(format!("the result has no JSON form: {e}")))?
+            serde_json::to_string_pretty(result)
+                .map_err(|e| Failure::new(format!("the result has no JSON form: {e}")))?
         } else {
             text()
         };
@@ -61,9 +68,11 @@ impl Session<'_> {
 /// Runs a command.
 pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
     match command {
+        Command::Demo(command) => command.run(session),
         Command::Inspect(command) => command.run(session),
         Command::Tbl(command) => command.run(session),
         Command::Bake(command) => command.run(session),
+        Command::Fit(command) => command.run(session),
         Command::Render(command) => command.run(session),
         Command::Eval(command) => command.run(session),
         Command::Report(command) => command.run(session),
@@ -86,9 +95,7 @@ pub struct CaptureArgs {
 impl CaptureArgs {
     fn load(&self, session: &Session<'_>) -> Result<Capture, Failure> {
         let options = LoadOptions { mesh: self.mesh.clone(), tbl: self.tbl.clone() };
-        let capture = capture::load(&self.capture, &options, session.console)?;
-        session.console.note(&format!("{:>24}  {}", "capture", describe(&capture)));
-        Ok(capture)
+        Ok(capture::load(&self.capture, &options, session.console)?)
     }
 }
 

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::capture::nerfstudio::load_cameras;
+use texir_core::capture::load_cameras;
 use texir_core::image_io::{encode_srgb, write_png_rgb, write_rgb};
+use texir_core::lights::Lights;
 use texir_core::outputs::FitOutput;
 use texir_core::progress::Progress;
 use texir_core::render::Renderer;
@@ -46,10 +47,10 @@ impl Render {
     /// Renders every camera.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let views = load_cameras(&self.cameras)?;
-        let output = FitOutput::load(&self.out)?;
+        let output = FitOutput::load(&self.out, session.console)?;
         let scene = Scene::new(output.mesh)?;
         let mut backend = device::open(&scene, session.config, session.console)?;
-        backend.set_tbl(&output.hdr_texture)?;
+        backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
         let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(self.spp));
         let gain = self.exposure.exp2();
         let mut written = Vec::with_capacity(views.len());

@@ -30,7 +30,7 @@ pub struct Report {
 impl Report {
     /// Evaluates, writes `metrics.json` and the page.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        let output = FitOutput::load(&self.out)?;
+        let output = FitOutput::load(&self.out, session.console)?;
         let capture = eval::load_capture(&self.out, self.capture.as_deref(), session)?;
         let evaluation = publish(&self.out, &output, &capture, self.spp, session)?;
         session.print(&evaluation, || format!("{}\n\n{}", figures::text(&evaluation), self.out.join(REPORT).display()))
@@ -46,8 +46,7 @@ pub fn publish(
     session: &Session<'_>,
 ) -> Result<Evaluation, Failure> {
     let mut panels: Vec<Result<ViewPanel, Failure>> = Vec::with_capacity(capture.views.len());
-    let evaluation =
-        eval::of_output(output, capture, samples, session, &mut |view| panels.push(ViewPanel::new(view)))?;
+    let evaluation = eval::of_output(output, capture, samples, session, &mut |view| panels.push(ViewPanel::new(view)))?;
     let page = report::Report {
         title: name(&capture.root),
         summary: format!("{}, {}.", describe(capture), describe_textures(&output.textures)),

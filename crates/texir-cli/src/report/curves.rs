@@ -1,35 +1,18 @@
 //! Loss curves of the fit's stages, as inline SVG that takes its colours from the page.
 
 use plotters::prelude::*;
-use serde::Deserialize;
+use texir_core::fit::{EpochLog, Stage};
 
 use crate::failure::Failure;
-
-/// One step of the fit, a line of `log.jsonl`.
-#[derive(Clone, Debug, Deserialize)]
-pub struct Step {
-    /// "I", "II" or "III".
-    pub stage: String,
-    /// Epoch within the stage.
-    pub epoch: u32,
-    /// Step within the stage.
-    pub step: u64,
-    /// Total loss.
-    pub loss: f32,
-    /// Image term.
-    pub image: f32,
-    /// Smoothness term, weighted.
-    pub smooth: f32,
-}
 
 /// The curve of one stage.
 #[derive(Clone, Debug)]
 pub struct Curve {
-    /// The stage's name.
-    pub stage: String,
+    /// The stage.
+    pub stage: Stage,
     /// Inline SVG.
     pub svg: String,
-    /// Mean loss of the last epoch.
+    /// Loss of the last epoch.
     pub last: f32,
 }
 
@@ -41,7 +24,7 @@ const SERIES: [(&str, RGBColor); 3] =
     [("loss", RGBColor(1, 0, 0)), ("image", RGBColor(2, 0, 0)), ("smoothness", RGBColor(3, 0, 0))];
 
 /// Reads `log.jsonl`.
-pub fn parse(text: &str) -> Result<Vec<Step>, Failure> {
+pub fn parse(text: &str) -> Result<Vec<EpochLog>, Failure> {
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     lines
         .map(|(i, line)| {
@@ -51,42 +34,19 @@ pub fn parse(text: &str) -> Result<Vec<Step>, Failure> {
         .collect()
 }
 
-/// One chart per stage, in the order of the log.
-pub fn draw(steps: &[Step]) -> Result<Vec<Curve>, Failure> {
-    let mut stages: Vec<&str> = Vec::new();
-    for step in steps {
-        if !stages.contains(&step.stage.as_str()) {
-            stages.push(&step.stage);
-        }
-    }
-    stages
-        .into_iter()
-        .map(|stage| {
-            let epochs = epoch_means(steps.iter().filter(|s| s.stage == stage));
-            let svg = chart(&epochs).map_err(|e| Failure::new(format!("the loss curve of stage {stage}: {e}")))?;
-            Ok(Curve { stage: stage.to_owned(), svg, last: epochs.last().map_or(0.0, |e| e[0]) })
+/// One chart per stage that ran.
+pub fn draw(log: &[EpochLog]) -> Result<Vec<Curve>, Failure> {
+    log.chunk_by(|a, b| a.stage == b.stage)
+        .map(|epochs| {
+            let stage = epochs[0].stage;
+            let losses: Vec<[f32; 3]> = epochs.iter().map(|e| [e.loss, e.image, e.smooth]).collect();
+            let svg = chart(&losses).map_err(|e| Failure::new(format!("the loss curve of stage {stage:?}: {e}")))?;
+            Ok(Curve { stage, svg, last: losses.last().map_or(0.0, |e| e[0]) })
         })
         .collect()
 }
 
-/// Mean `[loss, image, smooth]` of every epoch.
-fn epoch_means<'a>(steps: impl Iterator<Item = &'a Step>) -> Vec<[f32; 3]> {
-    let mut sums: Vec<(u32, [f32; 3], f32)> = Vec::new();
-    for step in steps {
-        if sums.last().is_none_or(|(epoch, ..)| *epoch != step.epoch) {
-            sums.push((step.epoch, [0.0; 3], 0.0));
-        }
-        if let Some((_, sum, count)) = sums.last_mut() {
-            for (total, value) in sum.iter_mut().zip([step.loss, step.image, step.smooth]) {
-                *total += value;
-            }
-            *count += 1.0;
-        }
-    }
-    sums.into_iter().map(|(_, sum, count)| sum.map(|s| s / count)).collect()
-}
-
-/// Epoch means over a logarithmic axis; a series that is 0 throughout is left out.
+/// Losses over a logarithmic axis; a series that is 0 throughout is left out.
 fn chart(epochs: &[[f32; 3]]) -> Result<String, Box<dyn std::error::Error>> {
     let positive = || epochs.iter().flatten().copied().filter(|&v| v > 0.0 && v.is_finite());
     let low = positive().fold(f32::INFINITY, f32::min);
@@ -149,28 +109,37 @@ fn themed(svg: &str) -> String {
 mod tests {
     use super::*;
 
-    fn steps() -> Vec<Step> {
+    fn log() -> Vec<EpochLog> {
         (0..30)
-            .map(|i| Step {
-                stage: if i < 20 { "I".into() } else { "II".into() },
-                epoch: (i % 20) / 4,
-                step: i.into(),
+            .map(|i| EpochLog {
+                stage: if i < 20 { Stage::I } else { Stage::II },
+                epoch: i % 20,
+                learning_rate: 0.03,
                 loss: 1.0 / (i + 1) as f32,
                 image: 0.5 / (i + 1) as f32,
                 smooth: 0.0,
+                seconds: f64::from(i),
             })
             .collect()
     }
 
     #[test]
     fn a_chart_per_stage_in_themed_colours() {
-        let curves = draw(&steps()).unwrap();
-        assert_eq!(curves.iter().map(|c| c.stage.as_str()).collect::<Vec<_>>(), ["I", "II"]);
+        let curves = draw(&log()).unwrap();
+        assert_eq!(curves.iter().map(|c| c.stage).collect::<Vec<_>>(), [Stage::I, Stage::II]);
         for curve in &curves {
             assert!(curve.svg.contains("series-loss") && curve.svg.contains("series-image"), "{}", curve.svg);
             assert!(!curve.svg.contains("series-smoothness"));
             assert!(!curve.svg.contains("http"));
         }
+        assert_eq!(curves[1].last, 1.0 / 30.0);
+    }
+
+    #[test]
+    fn a_written_log_reads_back() {
+        let lines: Vec<String> = log().iter().map(|e| serde_json::to_string(e).unwrap()).collect();
+        assert_eq!(parse(&lines.join("\n")).unwrap(), log());
+        assert!(parse("\n{\"stage\":\"I\"}").unwrap_err().to_string().contains("line 2"));
     }
 
     #[test]
@@ -179,18 +148,10 @@ mod tests {
     }
 
     #[test]
-    fn epochs_are_means() {
-        let means = epoch_means(steps()[..8].iter());
-        assert_eq!(means.len(), 2);
-        assert!((means[0][0] - (1.0 + 0.5 + 1.0 / 3.0 + 0.25) / 4.0).abs() < 1e-6);
-    }
-
-    #[test]
     fn degenerate_logs_still_draw() {
         assert!(draw(&[]).unwrap().is_empty());
-        let mut one = steps()[..1].to_vec();
+        let mut one = log()[..1].to_vec();
         one[0].loss = f32::NAN;
         assert_eq!(draw(&one).unwrap().len(), 1);
-        assert!(parse("{\"stage\":\"I\"}").unwrap_err().to_string().contains("line 1"));
     }
 }

@@ -144,6 +144,7 @@ pub fn write(report: &Report, path: &Path) -> Result<(), Failure> {
 mod tests {
     use super::*;
     use texir_core::eval::{AlbedoScore, Table, ViewScores};
+    use texir_core::fit::{EpochLog, Stage};
     use texir_core::raster::{Gray, Mask, Rgb};
 
     fn score(psnr: f64) -> Score {
@@ -203,15 +204,13 @@ mod tests {
             irradiance: bands(1.0),
             emission: bands(2.0),
         };
-        let log: String = ["I", "II", "III"]
-            .iter()
+        let log: Vec<EpochLog> = [Stage::I, Stage::II, Stage::III]
+            .into_iter()
             .flat_map(|stage| {
-                (0..492).map(move |i| {
-                    let noise = 1.0 + 0.2 * (f64::from(i) * 1.7).sin();
-                    let image = (0.05 + 0.5 * (-f64::from(i) / 90.0).exp()) * noise;
-                    let smooth = if *stage == "II" { 0.0 } else { 0.3 * image };
-                    let (epoch, loss) = (i / 12, image + smooth);
-                    format!(r#"{{"stage":"{stage}","epoch":{epoch},"step":{i},"loss":{loss},"image":{image},"smooth":{smooth}}}"#) + "\n"
+                (0..41).map(move |epoch| {
+                    let image = 0.05 + 0.5 * (-(epoch as f32) / 8.0).exp();
+                    let smooth = if stage == Stage::II { 0.0 } else { 0.3 * image };
+                    EpochLog { stage, epoch, learning_rate: 0.03, loss: image + smooth, image, smooth, seconds: 0.0 }
                 })
             })
             .collect();
@@ -231,7 +230,7 @@ mod tests {
             },
             textures: texture_figures(&textures).unwrap(),
             rooms: Some(Picture::linear(&bands(0.5)).unwrap()),
-            curves: draw_curves(&parse_log(&log).unwrap()).unwrap(),
+            curves: draw_curves(&log).unwrap(),
             views: vec![panel("pano_000", Split::Train), panel("pano_012", Split::Novel)],
             facts: vec![("backend".into(), "llvmpipe".into()), ("stage I".into(), "1 min 12 s".into())],
             settings: "seed = 1\nbackend = \"auto\"\n\n[fit]\nspecular_samples = 16".into(),

@@ -69,8 +69,7 @@ fn figures(page: &mut String, report: &Report) {
         let Some(score) = of(&evaluation.result) else { continue };
         let class = if *minor { " class=\"minor\"" } else { "" };
         push!(page, "<tr{class}><th scope=\"row\">{name}</th>");
-        push!(page, "<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>",
-                score.psnr, score.ssim, score.mse);
+        push!(page, "<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>", score.psnr, score.ssim, score.mse);
         if let Some(ceiling) = &evaluation.ceiling {
             match of(ceiling) {
                 Some(s) => {
@@ -84,16 +83,19 @@ fn figures(page: &mut String, report: &Report) {
         page.push_str("</tr>\n");
     }
     page.push_str("</tbody></table></div>\n");
-    push!(page, "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
+    push!(
+        page,
+        "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
          page, clamp(x<sup>1/2.2</sup>, 0, 1); roughness as it is. PSNR is that of the mean squared error over views; {} \
          samples a pixel. {}</p>\n",
-            evaluation.samples,
-            if evaluation.ceiling.is_some() {
-                "The true materials, seen through the same lighting, atlas and renderer, are the ceiling of what any fit to \
+        evaluation.samples,
+        if evaluation.ceiling.is_some() {
+            "The true materials, seen through the same lighting, atlas and renderer, are the ceiling of what any fit to \
              these inputs can be expected to reach."
-            } else {
-                "The capture has no true textures, so no ceiling is known."
-            });
+        } else {
+            "The capture has no true textures, so no ceiling is known."
+        }
+    );
 }
 
 fn textures(page: &mut String, report: &Report) {
@@ -115,16 +117,19 @@ fn curves(page: &mut String, report: &Report) {
     if report.curves.is_empty() {
         return;
     }
-    page.push_str("<h2>Loss</h2>\n<p class=\"note\">Means over epochs, logarithmic. Each stage has its own loss: heights do not compare between charts.</p>\n<div class=\"key\">");
+    page.push_str("<h2>Loss</h2>\n<p class=\"note\">Mean of each epoch, logarithmic. Each stage has its own loss: heights do not compare between charts.</p>\n<div class=\"key\">");
     for (name, variable) in [("total", "total"), ("image term", "image"), ("smoothness term", "smooth")] {
         push!(page, "<span style=\"--c:var(--{variable})\">{name}</span>");
     }
     page.push_str("</div>\n<div class=\"curves\">\n");
     for curve in &report.curves {
-        push!(page, "<div class=\"card curve\"><header><h3>Stage {}</h3><span>ends at {:.4}</span></header>{}</div>\n",
-                escape(&curve.stage),
-                curve.last,
-                curve.svg);
+        push!(
+            page,
+            "<div class=\"card curve\"><header><h3>Stage {:?}</h3><span>ends at {:.4}</span></header>{}</div>\n",
+            curve.stage,
+            curve.last,
+            curve.svg
+        );
     }
     page.push_str("</div>\n");
 }
@@ -132,10 +137,13 @@ fn curves(page: &mut String, report: &Report) {
 fn views(page: &mut String, report: &Report) {
     page.push_str("<h2>Views</h2>\n<p class=\"note\">All pictures share one tone curve. Albedo is shown after the scale it is judged at.</p>\n");
     let stops: Vec<String> = ERROR_COLOURS.iter().map(|c| css_colour(*c)).collect();
-    push!(page, "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
+    push!(
+        page,
+        "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
          <span>{ERROR_RANGE} and more, of 1</span><span class=\"swatch\" style=\"background:{}\"></span><span>not counted</span></div>\n",
-            stops.join(","),
-            css_colour(UNCOUNTED));
+        stops.join(","),
+        css_colour(UNCOUNTED)
+    );
     page.push_str("<nav aria-label=\"Views\">");
     for (i, view) in report.views.iter().enumerate() {
         push!(page, "<a class=\"{}\" href=\"#view-{i}\">{}</a>", split(view.split).0, escape(&view.name));
@@ -148,8 +156,11 @@ fn views(page: &mut String, report: &Report) {
 
 fn panel(page: &mut String, index: usize, view: &ViewPanel) {
     let (class, name) = split(view.split);
-    push!(page, "<section class=\"card view\" id=\"view-{index}\"><header><h3>{}</h3><span class=\"badge {class}\">{name}</span></header>\n<div class=\"columns\">\n",
-            escape(&view.name));
+    push!(
+        page,
+        "<section class=\"card view\" id=\"view-{index}\"><header><h3>{}</h3><span class=\"badge {class}\">{name}</span></header>\n<div class=\"columns\">\n",
+        escape(&view.name)
+    );
     for Row { label, score, columns, truth, result, error } in &view.rows {
         push!(page, "<div class=\"row\"><b>{label}</b>");
         if let Some(s) = score {
@@ -160,8 +171,11 @@ fn panel(page: &mut String, index: usize, view: &ViewPanel) {
         for (picture, column) in [(truth.as_ref(), truth_name), (Some(result), result_name), (error.as_ref(), "Error")]
         {
             match picture {
-                Some(picture) => push!(page, "<figure>{}<figcaption>{column}</figcaption></figure>\n",
-                        img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))),
+                Some(picture) => push!(
+                    page,
+                    "<figure>{}<figcaption>{column}</figcaption></figure>\n",
+                    img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))
+                ),
                 None => push!(page, "<figure><div class=\"missing\">{column}: not known</div></figure>\n"),
             }
         }
@@ -176,8 +190,11 @@ fn facts(page: &mut String, report: &Report) {
     for (name, value) in &report.facts {
         push!(page, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>\n", escape(name), escape(value));
     }
-    push!(page, "</table></div>\n<div class=\"card\"><h3>Settings</h3><pre>{}</pre></div>\n</div>\n",
-            escape(report.settings.trim()));
+    push!(
+        page,
+        "</table></div>\n<div class=\"card\"><h3>Settings</h3><pre>{}</pre></div>\n</div>\n",
+        escape(report.settings.trim())
+    );
 }
 
 fn img(picture: &Picture, alt: impl Display) -> String {

@@ -51,7 +51,7 @@ pub struct View {
 /// Texture-based lighting: the mesh's outgoing radiance in its atlas.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tbl {
-    /// Linear radiance per texel; 0 outside the charts.
+    /// Linear radiance per texel; 0 outside the charts, apart from a gutter that repeats their borders.
     pub radiance: Rgb,
     /// How each texel came to be known.
     pub coverage: Raster<Coverage>,

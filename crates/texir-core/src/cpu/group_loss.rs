@@ -3,9 +3,10 @@
 use crate::backend::{GroupTarget, Groups};
 use crate::real::Real;
 
-/// Σ_g mean over members and channels of |value − target_g|; the gradient is added to `d_values`. Returns the loss.
+/// The mean over all grouped pixels and channels of |value − target_g|; the gradient is added to `d_values`. Returns the
+/// loss.
 ///
-/// With [`GroupTarget::Mean`] the gradient flows through the mean: (sign_i − mean sign)/n. With
+/// With [`GroupTarget::Mean`] the gradient flows through the mean: (sign_i − mean sign)/N. With
 /// [`GroupTarget::Quantile`] the target is fixed and only the members that are no references are drawn to it.
 pub fn group_loss<R: Real>(
     values: &[R],
@@ -14,6 +15,7 @@ pub fn group_loss<R: Real>(
     target: GroupTarget,
     d_values: &mut [R],
 ) -> R {
+    let share = R::of(1.0 / (groups.members.len() * channels).max(1) as f64);
     let mut loss = R::of(0.0);
     for (g, bounds) in groups.offsets.windows(2).enumerate() {
         let members = &groups.members[bounds[0] as usize..bounds[1] as usize];
@@ -28,7 +30,6 @@ pub fn group_loss<R: Real>(
             if drawn.is_empty() {
                 continue;
             }
-            let share = R::of(1.0 / (drawn.len() * channels) as f64);
             let sign = |v: R| {
                 R::of(if v > aim {
                     1.0

@@ -14,7 +14,6 @@ use glam::Vec3;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake;
-use crate::camera::Camera;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
@@ -68,11 +67,7 @@ pub fn fit(
     };
     let tbl = match &capture.tbl {
         Some(tbl) if tbl.radiance.size() == size => tbl.clone(),
-        _ => {
-            let cameras: Vec<Camera> = training.iter().map(|v| v.camera).collect();
-            let mut load = |i: usize| training[i].load_image(progress);
-            tbl::fuse(backend, scene, &cameras, &mut load, size, &TblOptions::default(), progress)?
-        }
+        _ => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
     };
     timings.mark("texture-based lighting");
 
@@ -92,7 +87,7 @@ pub fn fit(
     let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
-    let emitters = emitters(&tbl.radiance, &irradiance, settings.emitter_ratio);
+    let emitters = emitters(&tbl.radiance, &irradiance, &atlas, settings.emitter_ratio);
     let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
     if emission.data.iter().all(|e| *e == [0.0; 3]) {
         return Err(Error::invalid(
@@ -139,18 +134,19 @@ pub fn fit(
 /// Atlas side when neither the settings nor an HDR texture say.
 const DEFAULT_ATLAS: usize = 1024;
 
-/// Light sources: texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π in
-/// luminance (Rec. 709).
-fn emitters(radiance: &Rgb, irradiance: &Rgb, ratio: f32) -> Mask {
+/// Light sources: texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
+/// that stand out from the scene, L > ratio · mean L; in luminance (Rec. 709).
+pub fn emitters(radiance: &Rgb, irradiance: &Rgb, atlas: &Atlas, ratio: f32) -> Mask {
     let luminance = |c: &[f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
-    let bright = |(l, e): (&[f32; 3], &[f32; 3])| {
-        luminance(l) > ratio * luminance(e) * std::f32::consts::FRAC_1_PI && luminance(l) > 0.0
-    };
-    Raster {
-        width: radiance.width,
-        height: radiance.height,
-        data: radiance.data.iter().zip(&irradiance.data).map(bright).collect(),
+    let mean =
+        atlas.texels.iter().map(|&t| luminance(&radiance.data[t as usize])).sum::<f32>() / atlas.texels.len() as f32;
+    let bright =
+        |l: &[f32; 3], e: &[f32; 3]| luminance(l) > ratio * (luminance(e) * std::f32::consts::FRAC_1_PI).max(mean);
+    let mut mask = Mask::filled(radiance.width, radiance.height, false);
+    for &t in &atlas.texels {
+        mask.data[t as usize] = bright(&radiance.data[t as usize], &irradiance.data[t as usize]);
     }
+    mask
 }
 
 fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {

@@ -70,17 +70,17 @@ pub struct ParameterSettings {
     pub roughness_range: [f32; 2],
 }
 
-/// Stage I: mean|T(aE/π) − T(I)| + weight · Σ_classes mean|a − mean_class(a)|.
+/// Stage I: mean|T(aE/π) − T(I)| + weight · mean|a − mean_class(a)|.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StageOneSettings {
     /// Run this stage.
     pub enabled: bool,
-    /// β_ssa per class. The authors' code weighs the mean over 49 classes with 20.
+    /// β_ssa. The authors' code weighs a mean over 49 classes with 20.
     pub semantic_weight: f32,
 }
 
-/// Stage II: mean over virtual-highlight pixels of |T(L_o) − T(I)| + weight · Σ_classes mean|r − Q_q(r on them)|.
+/// Stage II: mean over virtual-highlight pixels of |T(L_o) − T(I)| + weight · mean|r − Q_q(r on them in the class)|.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StageTwoSettings {
@@ -92,13 +92,13 @@ pub struct StageTwoSettings {
     pub quantile: f32,
 }
 
-/// Stage III: mean|T(L_o) − T(I)| + weight · Σ_(class ∧ room) mean|r − mean(r)|.
+/// Stage III: mean|T(L_o) − T(I)| + weight · mean|r − mean_(class ∧ room)(r)|.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StageThreeSettings {
     /// Run this stage.
     pub enabled: bool,
-    /// β_ssr, per group.
+    /// β_ssr.
     pub smoothness_weight: f32,
 }
 

@@ -94,7 +94,7 @@ impl<'a> Optimisation<'a> {
         Ok(())
     }
 
-    /// Stage I, albedo: mean|T(aE/π) − T(I)| + β_ssa Σ_classes mean|a − mean_class(a)|.
+    /// Stage I, albedo: mean|T(aE/π) − T(I)| + β_ssa mean|a − mean_class(a)|.
     fn stage_one(&mut self, view: usize, textures: &Textures, _seed: u32) -> Result<Step> {
         let view = self.view(view);
         let albedo = self.lookup(&textures.albedo, 3, view)?;
@@ -115,7 +115,7 @@ impl<'a> Optimisation<'a> {
     }
 
     /// Stage II, roughness with the albedo frozen: mean over highlight pixels of |T(L_o) − T(I)|
-    /// + β_sp Σ_classes mean|r − Q_q(r at highlights)| over the rest of the class.
+    /// + β_sp mean|r − Q_q(r at highlights of the class)| over the rest.
     fn stage_two(&mut self, view: usize, albedo: &[[f32; 3]], textures: &Textures, seed: u32) -> Result<Step> {
         let view = self.view(view);
         let roughness = self.lookup(&textures.roughness, 1, view)?;
@@ -144,7 +144,7 @@ impl<'a> Optimisation<'a> {
         Ok(Step { image, smooth, d_albedo: None, d_roughness })
     }
 
-    /// Stage III, albedo and roughness: mean|T(L_o) − T(I)| + β_ssr Σ_(class ∧ room) mean|r − mean(r)|.
+    /// Stage III, albedo and roughness: mean|T(L_o) − T(I)| + β_ssr mean|r − mean_(class ∧ room)(r)|.
     fn stage_three(&mut self, view: usize, textures: &Textures, seed: u32) -> Result<Step> {
         let view = self.view(view);
         let albedo = self.lookup(&textures.albedo, 3, view)?;

@@ -243,10 +243,8 @@ mod tests {
                 reached[columns.cell_of(p.truncate())] = true;
             }
         }
-        for cell in 0..reached.len() {
-            if reached[cell] {
-                assert_ne!(columns.filled[cell], 0, "cell {cell} holds part of the triangle and is empty");
-            }
+        for (cell, _) in reached.iter().enumerate().filter(|(_, reached)| **reached) {
+            assert_ne!(columns.filled[cell], 0, "cell {cell} holds part of the triangle and is empty");
         }
         let touched = columns.filled.iter().filter(|&&f| f != 0).count();
         let inside = reached.iter().filter(|&&r| r).count();

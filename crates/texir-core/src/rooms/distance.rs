@@ -77,7 +77,7 @@ mod tests {
     fn agrees_with_brute_force() {
         for seed in 0..20 {
             let (w, h) = (23, 17);
-            let data: Vec<bool> = (0..w * h).map(|i| hash(hash(seed) ^ i) % 40 == 0).collect();
+            let data: Vec<bool> = (0..w * h).map(|i| hash(hash(seed) ^ i).is_multiple_of(40)).collect();
             let sources = Mask::new(w as usize, h as usize, data).unwrap();
             let Some(found) = nearest(&sources) else {
                 assert!(!sources.data.contains(&true));

@@ -5,7 +5,9 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 
 use super::FloorPlan;
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::image_io::write_png_rgb;
+use crate::raster::Raster;
 
 /// The longer side of the picture, pixels, at least where the plan has fewer cells.
 const SIZE: usize = 1200;
@@ -18,27 +20,22 @@ const DIGITS: [u16; 10] = [0o75557, 0o26227, 0o71747, 0o71717, 0o55711, 0o74717,
 
 /// Writes the plan; plan y points up.
 pub(super) fn write(plan: &FloorPlan, path: &Path, cameras: &[Vec3]) -> Result<()> {
-    let canvas = draw(plan, cameras);
-    let mut png = std::io::Cursor::new(Vec::new());
-    canvas.write_to(&mut png, image::ImageFormat::Png).map_err(|e| Error::file(path, e))?;
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| Error::file(path, e))?;
-    std::io::Write::write_all(&mut file, png.get_ref()).map_err(|e| Error::file(path, e))?;
-    file.persist(path).map_err(|e| Error::file(path, e))?;
-    Ok(())
+    write_png_rgb(path, &draw(plan, cameras))
 }
 
-fn draw(plan: &FloorPlan, cameras: &[Vec3]) -> image::RgbImage {
+fn draw(plan: &FloorPlan, cameras: &[Vec3]) -> Raster<[u8; 3]> {
     let (w, h) = plan.rooms.size();
     let scale = (SIZE / w.max(h)).max(1);
-    let mut canvas = image::RgbImage::from_fn((w * scale) as u32, (h * scale) as u32, |x, y| {
-        let (cx, cy) = (x as usize / scale, h - 1 - y as usize / scale);
-        image::Rgb(match *plan.rooms.at(cx, cy) {
+    let (width, height) = (w * scale, h * scale);
+    let cell = |i: usize| {
+        let (cx, cy) = (i % width / scale, h - 1 - i / width / scale);
+        match *plan.rooms.at(cx, cy) {
             _ if *plan.walls.at(cx, cy) => WALL,
             0 => OUTSIDE,
             id => colour(id),
-        })
-    });
+        }
+    };
+    let mut canvas = Raster { width, height, data: (0..width * height).map(cell).collect() };
     // Cells to picture, y up.
     let place = |p: Vec2| Vec2::new(p.x, h as f32 - p.y) * scale as f32;
     let radius = (0.08 / plan.cell * scale as f32).max(2.0);
@@ -74,12 +71,12 @@ fn anchor(plan: &FloorPlan, id: u16) -> Option<Vec2> {
         .map(|(c, _)| Vec2::new((c % w) as f32 + 0.5, (c / w) as f32 + 0.5))
 }
 
-fn disc(canvas: &mut image::RgbImage, centre: Vec2, radius: f32) {
+fn disc(canvas: &mut Raster<[u8; 3]>, centre: Vec2, radius: f32) {
     fill(canvas, centre - radius, centre + radius, CAMERA, |p| p.distance(centre) <= radius);
 }
 
 /// Draws a number in `dot`-sized squares, centred.
-fn number(canvas: &mut image::RgbImage, value: u16, centre: Vec2, dot: f32) {
+fn number(canvas: &mut Raster<[u8; 3]>, value: u16, centre: Vec2, dot: f32) {
     let text = value.to_string();
     let corner = centre - Vec2::new(4.0 * text.len() as f32 - 1.0, 5.0) * dot / 2.0;
     for (i, digit) in text.bytes().enumerate() {
@@ -94,12 +91,12 @@ fn number(canvas: &mut image::RgbImage, value: u16, centre: Vec2, dot: f32) {
 }
 
 /// Colours the pixels of a rectangle whose centres satisfy `inside`.
-fn fill(canvas: &mut image::RgbImage, from: Vec2, to: Vec2, colour: [u8; 3], inside: impl Fn(Vec2) -> bool) {
-    let (width, height) = canvas.dimensions();
-    for y in (from.y.max(0.0) as u32)..(to.y.ceil().max(0.0) as u32).min(height) {
-        for x in (from.x.max(0.0) as u32)..(to.x.ceil().max(0.0) as u32).min(width) {
+fn fill(canvas: &mut Raster<[u8; 3]>, from: Vec2, to: Vec2, colour: [u8; 3], inside: impl Fn(Vec2) -> bool) {
+    let (width, height) = canvas.size();
+    for y in (from.y.max(0.0) as usize)..(to.y.ceil().max(0.0) as usize).min(height) {
+        for x in (from.x.max(0.0) as usize)..(to.x.ceil().max(0.0) as usize).min(width) {
             if inside(Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) {
-                canvas.put_pixel(x, y, image::Rgb(colour));
+                canvas.data[y * width + x] = colour;
             }
         }
     }

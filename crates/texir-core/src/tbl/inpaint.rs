@@ -1,28 +1,47 @@
 //! Radiance for texels that no view sees, from texels nearby in space that face the same way.
 //!
 //! Seen texels are averaged in cells of a sparse grid, apart for each of six facing directions, at doubling cell sizes. An
-//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric: a lamp must not
-//! outshine the wall beside it.
+//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric, and light sources
+//! are left out: light that no view shows is not invented.
 
 use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, DefaultHasher};
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::surface::SurfacePoint;
 
 /// Sizes of cells that are tried: from the finest, each twice the one before.
 const LEVELS: u32 = 12;
 /// Cells on the finest level are this many texels wide.
 const FINEST: f32 = 4.0;
+/// Texels are not taken for smaller than this, metres: degenerate triangles have none.
+const SMALLEST_TEXEL: f32 = 1e-4;
+/// A texel this many times brighter than the median is taken for a light source.
+const SOURCE: f32 = 8.0;
 /// Keeps the logarithm of black finite; far below any radiance that matters.
 const BLACK: f32 = 1e-6;
 
-/// A place on a surface.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
-    /// World position.
-    pub position: Vec3,
-    /// Unit normal.
-    pub normal: Vec3,
+/// The radiance of all points, where `known` has it as it is; black if nothing is known at all. `texel` is the edge of a
+/// typical texel, metres.
+pub(super) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
+    let limit = SOURCE * median_of_means(known);
+    let seen = points.iter().zip(known).filter_map(|(p, k)| Some((p, k.filter(|&radiance| mean(radiance) <= limit)?)));
+    let grid = Grid::new(seen, texel);
+    points.par_iter().zip(known).map(|(point, known)| known.unwrap_or_else(|| grid.radiance(point))).collect()
+}
+
+/// Mean of the channels.
+fn mean(radiance: [f32; 3]) -> f32 {
+    radiance.iter().sum::<f32>() / 3.0
+}
+
+/// The median texel's mean over its channels; 0 without texels.
+fn median_of_means(known: &[Option<[f32; 3]>]) -> f32 {
+    let mut means: Vec<f32> = known.iter().flatten().map(|&radiance| mean(radiance)).collect();
+    let middle = means.len() / 2;
+    if means.is_empty() { 0.0 } else { *means.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
 /// Weighted sum of logarithmic radiance.
@@ -32,25 +51,25 @@ struct Mean {
     weight: f32,
 }
 
-type Level = HashMap<(IVec3, u8), Mean>;
+/// Cells of one size. The hasher is fixed, so that sums over cells run in the same order every time.
+type Level = HashMap<(IVec3, u8), Mean, BuildHasherDefault<DefaultHasher>>;
 
 /// What the seen texels know, at all sizes.
-pub(super) struct Known {
+struct Grid {
     /// Edge of a cell on the finest level, metres.
     cell: f32,
     levels: Vec<Level>,
     all: Mean,
 }
 
-impl Known {
-    /// Gathers the seen texels; `texel` is the edge of a typical texel, metres.
-    pub fn new(seen: impl Iterator<Item = (Place, [f32; 3])>, texel: f32) -> Self {
-        let cell = FINEST * texel;
-        let mut finest = Level::new();
+impl Grid {
+    fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, [f32; 3])>, texel: f32) -> Self {
+        let cell = FINEST * texel.max(SMALLEST_TEXEL);
+        let mut finest = Level::default();
         let mut all = Mean::default();
-        for (place, radiance) in seen {
+        for (point, radiance) in seen {
             let log = (Vec3::from(radiance) + BLACK).map(f32::ln);
-            let key = ((place.position / cell).floor().as_ivec3(), facing(place.normal));
+            let key = ((Vec3::from(point.position) / cell).floor().as_ivec3(), facing(point.normal.into()));
             for mean in [finest.entry(key).or_default(), &mut all] {
                 mean.sum += log;
                 mean.weight += 1.0;
@@ -58,7 +77,7 @@ impl Known {
         }
         let mut levels = vec![finest];
         while levels.len() < LEVELS as usize {
-            let mut coarse = Level::new();
+            let mut coarse = Level::default();
             for ((cell, facing), mean) in levels.last().into_iter().flatten() {
                 let parent = coarse.entry((*cell >> 1, *facing)).or_default();
                 parent.sum += mean.sum;
@@ -69,27 +88,22 @@ impl Known {
         Self { cell, levels, all }
     }
 
-    /// Radiance at each place; black if nothing is known at all.
-    pub fn fill(&self, places: &[Place]) -> Vec<[f32; 3]> {
-        places
-            .par_iter()
-            .map(|place| {
-                let mean = (0..self.levels.len()).find_map(|level| self.around(place, level)).unwrap_or(self.all);
-                if mean.weight > 0.0 {
-                    ((mean.sum / mean.weight).map(f32::exp) - BLACK).max(Vec3::ZERO).into()
-                } else {
-                    [0.0; 3]
-                }
-            })
-            .collect()
+    /// Radiance at a point that no view sees.
+    fn radiance(&self, point: &SurfacePoint) -> [f32; 3] {
+        let mean = (0..self.levels.len()).find_map(|level| self.around(point, level)).unwrap_or(self.all);
+        if mean.weight > 0.0 {
+            ((mean.sum / mean.weight).map(f32::exp) - BLACK).max(Vec3::ZERO).to_array()
+        } else {
+            [0.0; 3]
+        }
     }
 
-    /// Trilinear blend of the cells around a place on one level.
-    fn around(&self, place: &Place, level: usize) -> Option<Mean> {
+    /// Trilinear blend of the cells around a point on one level.
+    fn around(&self, point: &SurfacePoint, level: usize) -> Option<Mean> {
         let cells = &self.levels[level];
-        let p = place.position / (self.cell * (1u32 << level) as f32) - 0.5;
+        let p = Vec3::from(point.position) / (self.cell * (1u32 << level) as f32) - 0.5;
         let (base, f) = (p.floor().as_ivec3(), p - p.floor());
-        let facing = facing(place.normal);
+        let facing = facing(point.normal.into());
         let mut blend = Mean::default();
         for corner in 0..8 {
             let offset = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);

@@ -9,23 +9,19 @@ mod blend;
 mod inpaint;
 mod sample;
 
-use std::path::Path;
-
-use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::raster::{Raster, Rgb};
+use crate::raster::Rgb;
 use crate::scene::Scene;
-use crate::surface::{Hit, SurfacePoint};
 use blend::Best;
-use inpaint::{Known, Place};
 use sample::Sampler;
 
 /// How views are joined into a TBL.
@@ -34,8 +30,6 @@ use sample::Sampler;
 pub struct TblOptions {
     /// Views that see a surface at a smaller cosine than this are not used for it.
     pub min_cosine: f32,
-    /// Weight of pixels that straddle the edge of a surface, against 1 for the others.
-    pub edge_weight: f32,
     /// Exponent of a view's resolution (cosθ/d² × pixels per steradian) in its weight: 0 counts all views alike, high
     /// values take the sharpest only.
     pub sharpness: f32,
@@ -49,115 +43,108 @@ pub struct TblOptions {
 
 impl Default for TblOptions {
     fn default() -> Self {
-        Self { min_cosine: 0.1, edge_weight: 0.02, sharpness: 1.0, quantile: 0.5, tolerance: 0.1, gutter: 4 }
+        Self { min_cosine: 0.1, sharpness: 1.0, quantile: 0.3, tolerance: 0.05, gutter: 4 }
     }
 }
 
-/// Texels that are worked on at a time.
+impl TblOptions {
+    /// Errors on settings out of range.
+    fn check(&self) -> Result<()> {
+        let ranges = [
+            ("min_cosine", self.min_cosine, 0.0..=1.0),
+            ("sharpness", self.sharpness, 0.0..=16.0),
+            ("quantile", self.quantile, 0.0..=1.0),
+            ("tolerance", self.tolerance, 1e-3..=1e6),
+        ];
+        match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
+            None => Ok(()),
+            Some((name, value, range)) => {
+                Err(Error::invalid(format!("tbl.{name} is {value}; expected {} to {}", range.start(), range.end())))
+            }
+        }
+    }
+}
+
+/// Texels that are worked on at a time: 100 MB of observations.
 const BAND: usize = 1 << 19;
 
-/// Fuses given images.
-pub fn fuse(
+/// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance and
+/// whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
+/// [`Coverage::Outside`].
+pub fn build(
     backend: &mut dyn Backend,
     scene: &Scene,
-    cameras: &[Camera],
-    load: &mut dyn FnMut(usize) -> Result<Rgb>,
+    views: &[View],
     size: (usize, usize),
     options: &TblOptions,
     progress: &dyn Progress,
 ) -> Result<Tbl> {
-    if cameras.is_empty() {
-        return Err(Error::invalid("the TBL needs at least one view, none given"));
-    }
-    let (width, height) = size;
-    let mesh = &scene.mesh;
-    let hits = backend.texels(width, height)?;
-    let covered: Vec<u32> = (0..hits.len() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-    let mut radiance = Rgb::filled(width, height, [0.0; 3]);
-    let mut coverage = Raster::filled(width, height, Coverage::Outside);
-    progress.start("texture-based lighting", (covered.len() * cameras.len()) as u64, "texels");
-    for band in covered.chunks(BAND) {
-        let points: Vec<SurfacePoint> =
-            band.par_iter().map(|&i| SurfacePoint::new(mesh, &hits[i as usize], None)).collect();
-        let mut best = vec![Best::default(); band.len()];
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    fuse(backend, scene, &cameras, |i| views[i].load_image(progress), size, options, progress)
+}
+
+/// [`build`] from images that `load` gives by index.
+fn fuse(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    cameras: &[Camera],
+    mut load: impl FnMut(usize) -> Result<Rgb>,
+    size: (usize, usize),
+    options: &TblOptions,
+    progress: &dyn Progress,
+) -> Result<Tbl> {
+    options.check()?;
+    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
+    let mut blended: Vec<Option<[f32; 3]>> = Vec::with_capacity(atlas.points.len());
+    progress.start("texture-based lighting", (atlas.points.len() * cameras.len()) as u64, "texels");
+    for points in atlas.points.chunks(BAND) {
+        let mut best = vec![Best::default(); points.len()];
         for (i, camera) in cameras.iter().enumerate() {
             progress.check()?;
             let image = load(i)?;
-            let projected = backend.project(&points, camera)?;
-            let sampler = Sampler::new(backend, mesh, camera, &image, options)?;
-            best.par_iter_mut().enumerate().for_each(|(j, best)| {
-                let area = texel_area(mesh, &hits[band[j] as usize], size);
-                if let Some(observation) = sampler.observe(&points[j], &projected[j], area) {
+            let projected = backend.project(points, camera)?;
+            let sampler = Sampler::new(backend, &scene.mesh, camera, &image, options)?;
+            best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
+                if let Some(observation) = sampler.observe(point, at, texel_area(&scene.mesh, point.triangle, size)) {
                     best.add(observation);
                 }
             });
-            progress.advance(band.len() as u64);
+            progress.advance(points.len() as u64);
         }
-        for (&texel, best) in band.iter().zip(&best) {
-            coverage.data[texel as usize] = Coverage::Inpainted;
-            if let Some(blend) = best.blend(options) {
-                radiance.data[texel as usize] = blend;
-                coverage.data[texel as usize] = Coverage::Seen;
-            }
-        }
+        blended.par_extend(best.par_iter().map(|best| best.blend(options)));
     }
     progress.finish();
-    inpaint_unseen(mesh, &hits, &mut radiance, &coverage);
-    fill_gutter(&mut radiance, &coverage, options.gutter);
-    Ok(Tbl { radiance, coverage })
+    if blended.iter().all(Option::is_none) {
+        return Err(Error::invalid(format!(
+            "none of the {} views sees the mesh: check the camera poses (camera to world, metres, the mesh's frame) and \
+             that the mesh's faces point into the rooms",
+            cameras.len()
+        )));
+    }
+    let radiance = inpaint::fill(&atlas.points, &blended, typical_texel(scene, &atlas));
+    let coverage = blended.iter().map(|b| b.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
+    Ok(Tbl {
+        radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
+        coverage: atlas.scatter(&coverage, Coverage::Outside),
+    })
 }
 
-/// Area of a texel on the surface, m².
-fn texel_area(mesh: &Mesh, hit: &Hit, size: (usize, usize)) -> f32 {
-    let [a, b, c] = mesh.corners(hit.triangle);
-    let [ua, ub, uc] = mesh.corner_uvs(hit.triangle);
+/// Area on the surface of a texel of a `size` atlas, m².
+fn texel_area(mesh: &Mesh, triangle: u32, size: (usize, usize)) -> f32 {
+    let [a, b, c] = mesh.corners(triangle);
+    let [ua, ub, uc] = mesh.corner_uvs(triangle);
     let world = (b - a).cross(c - a).length();
     let texels = (ub - ua).perp_dot(uc - ua).abs() * (size.0 * size.1) as f32;
     if texels > 0.0 { world / texels } else { 0.0 }
 }
 
-/// Fills the chart texels that no view sees.
-fn inpaint_unseen(mesh: &Mesh, hits: &[Hit], radiance: &mut Rgb, coverage: &Raster<Coverage>) {
-    let place = |i: usize| {
-        let point = SurfacePoint::new(mesh, &hits[i], None);
-        Place { position: Vec3::from(point.position), normal: Vec3::from(point.normal) }
-    };
-    let of = |kind: Coverage| (0..hits.len()).filter(move |&i| coverage.data[i] == kind);
-    let unseen: Vec<usize> = of(Coverage::Inpainted).collect();
-    let mut areas: Vec<f32> = of(Coverage::Seen).map(|i| texel_area(mesh, &hits[i], radiance.size())).collect();
-    if unseen.is_empty() || areas.is_empty() {
-        return;
-    }
+/// Edge of the median texel on the surface, metres.
+fn typical_texel(scene: &Scene, atlas: &Atlas) -> f32 {
+    let size = (atlas.width, atlas.height);
+    let mut areas: Vec<f32> = atlas.points.par_iter().map(|p| texel_area(&scene.mesh, p.triangle, size)).collect();
     let middle = areas.len() / 2;
-    let (_, &mut typical, _) = areas.select_nth_unstable_by(middle, f32::total_cmp);
-    let known = Known::new(of(Coverage::Seen).map(|i| (place(i), radiance.data[i])), typical.sqrt().max(1e-4));
-    let places: Vec<Place> = unseen.iter().map(|&i| place(i)).collect();
-    for (i, filled) in unseen.into_iter().zip(known.fill(&places)) {
-        radiance.data[i] = filled;
-    }
+    areas.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
 }
 
-/// Repeats the radiance of chart borders for a few texels outwards, ring by ring.
-fn fill_gutter(radiance: &mut Rgb, coverage: &Raster<Coverage>, rings: usize) {
-    let (w, h) = radiance.size();
-    let mut filled: Vec<bool> = coverage.data.iter().map(|&c| c != Coverage::Outside).collect();
-    for _ in 0..rings {
-        let ring: Vec<(usize, [f32; 3])> = (0..w * h)
-            .into_par_iter()
-            .filter(|&i| !filled[i])
-            .filter_map(|i| {
-                let (x, y) = (i % w, i / w);
-                let around = (y.saturating_sub(1)..(y + 2).min(h))
-                    .flat_map(|ny| (x.saturating_sub(1)..(x + 2).min(w)).map(move |nx| ny * w + nx))
-                    .filter(|&n| filled[n]);
-                let (sum, count) =
-                    around.fold((Vec3::ZERO, 0.0), |(s, n), i| (s + Vec3::from(radiance.data[i]), n + 1.0));
-                (count > 0.0).then(|| (i, (sum / count).into()))
-            })
-            .collect();
-        for (i, value) in ring {
-            radiance.data[i] = value;
-            filled[i] = true;
-        }
-    }
-}
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,6 @@
 //! One view, ready to be sampled at surface points: the image with the surface that every pixel shows.
 
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 use super::TblOptions;
 use crate::backend::{Backend, Projected};
@@ -21,7 +20,7 @@ const MAX_REACH: f32 = 8.0;
 pub(super) struct Observation {
     /// Linear radiance.
     pub radiance: [f32; 3],
-    /// How much the view is worth: pixels per square metre of surface, less where pixels straddle an edge.
+    /// How much the view is worth: pixels per square metre of surface, less where the filter crosses an edge.
     pub weight: f32,
 }
 
@@ -31,8 +30,6 @@ pub(super) struct Sampler<'a> {
     camera: &'a Camera,
     image: &'a Rgb,
     hits: Vec<Hit>,
-    /// Pixels whose neighbours show another surface: their box holds light of both.
-    straddling: Vec<bool>,
     options: &'a TblOptions,
 }
 
@@ -53,9 +50,7 @@ impl<'a> Sampler<'a> {
             )));
         }
         let hits = backend.primary(camera)?;
-        let mut sampler = Self { mesh, camera, image, hits, straddling: Vec::new(), options };
-        sampler.straddling = (0..camera.pixels()).into_par_iter().map(|pixel| sampler.straddles(pixel)).collect();
-        Ok(sampler)
+        Ok(Self { mesh, camera, image, hits, options })
     }
 
     /// What the view shows of a point that projects to `at`; `area` is the texel's, m². `None` if it cannot tell.
@@ -86,13 +81,12 @@ impl<'a> Sampler<'a> {
                 let radiance = Vec3::from(self.image.data[pixel]);
                 let usable = radiance.is_finite() && radiance.min_element() >= 0.0;
                 if usable && self.shows(pixel, position, point.normal.into(), slack) {
-                    let weight = tent * if self.straddling[pixel] { self.options.edge_weight } else { 1.0 };
-                    sum += radiance * weight;
-                    clean += weight;
+                    sum += radiance * tent;
+                    clean += tent;
                 }
             }
         }
-        if !(clean > 0.0) {
+        if clean <= 0.0 {
             return None;
         }
         let resolution = pixels_per_steradian(self.camera) * at.cosine / (at.distance * at.distance);
@@ -110,21 +104,6 @@ impl<'a> Sampler<'a> {
         hit.is_hit()
             && (self.position(&hit) - position).dot(normal).abs() <= slack
             && self.mesh.face_normal(hit.triangle).dot(normal).abs() >= SAME_NORMAL
-    }
-
-    /// Whether any of a pixel's eight neighbours shows another surface.
-    fn straddles(&self, pixel: usize) -> bool {
-        let hit = self.hits[pixel];
-        if !hit.is_hit() {
-            return true;
-        }
-        let (x, y) = ((pixel % self.camera.width) as i64, (pixel / self.camera.width) as i64);
-        let (position, normal) = (self.position(&hit), self.mesh.face_normal(hit.triangle));
-        let slack = self.slack(hit.t);
-        (-1..=1)
-            .flat_map(|dy| (-1..=1).map(move |dx| (dx, dy)))
-            .filter_map(|(dx, dy)| self.pixel(x + dx, y + dy))
-            .any(|neighbour| !self.shows(neighbour, position, normal, slack))
     }
 
     /// World position of a hit on the mesh.

@@ -12,6 +12,7 @@ pub(crate) struct GroupLossParams {
     pub channels: u32,
     pub quantile: f32,
     pub jobs: u32,
+    pub share: f32,
 }
 
 /// See [`texir_core::backend::Backend::group_loss`].
@@ -28,7 +29,8 @@ pub(crate) fn run(
         GroupTarget::Quantile(q) => ("quantile_target", q),
     };
     let kernel = ctx.kernel("group_loss", entry, None)?;
-    let params = ctx.params(&GroupLossParams { channels: channels as u32, quantile, jobs: jobs as u32 });
+    let share = 1.0 / (groups.members.len() * channels).max(1) as f32;
+    let params = ctx.params(&GroupLossParams { channels: channels as u32, quantile, jobs: jobs as u32, share });
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
     let offsets = pool.upload(gpu, "group offsets", &groups.offsets)?;
     let members = pool.upload(gpu, "group members", &groups.members)?;

@@ -1,0 +1,71 @@
+//! `texir demo`: a synthetic flat, made and path-traced here, then fitted as any capture would be.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use tempfile::TempDir;
+use texir_core::capture::{self, LoadOptions};
+use texir_core::demo::{self, Flat, FlatOptions, RenderOptions, ShotOptions};
+use texir_core::outputs::{REPORT, SCENE, Staging};
+
+use super::{Session, eval, fit, report};
+use crate::failure::Failure;
+use crate::figures;
+
+/// Folder of the capture within the demo's.
+const CAPTURE: &str = "capture";
+
+/// Folder of the fit within the demo's.
+const FIT: &str = "fit";
+
+/// Arguments of `texir demo`.
+#[derive(Debug, Args)]
+pub struct Demo {
+    /// Folder for the capture and the fit
+    #[arg(short, long, value_name = "DIR", default_value = "texir-demo")]
+    output: PathBuf,
+    /// Rooms of the flat, 3 to 5
+    #[arg(long, value_name = "N", default_value_t = FlatOptions::default().rooms)]
+    rooms: usize,
+}
+
+impl Demo {
+    /// Makes the capture, fits it, says where to look.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
+        let staging = Staging::new(&out)?;
+        self.make(&folder, session)?;
+        let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
+        let output = fit::write(staging, &capture, session)?;
+        let evaluation = report::publish(&out, &output, &capture, eval::SAMPLES, session)?;
+        session.print(&evaluation, || {
+            let line = |what: &str, path: PathBuf| format!("{what:<12}{}", path.display());
+            [
+                figures::text(&evaluation),
+                String::new(),
+                line("report", out.join(REPORT)),
+                line("scene", out.join(SCENE)),
+                line("textures", out.clone()),
+                line("capture", folder.clone()),
+            ]
+            .join("\n")
+        })
+    }
+
+    /// Generates and renders the flat, and puts the capture in place of an earlier one once it is whole.
+    fn make(&self, folder: &Path, session: &Session<'_>) -> Result<(), Failure> {
+        let seed = u64::from(session.config.fit.seed) + 1;
+        let flat = Flat::generate(&FlatOptions { seed, rooms: self.rooms, ..FlatOptions::default() })?;
+        let shots = demo::shots(&flat, &ShotOptions { seed, ..ShotOptions::default() })?;
+        let options = RenderOptions { seed, ..RenderOptions::default() };
+        let rendered = demo::render(&flat, &shots, &options, session.console)?;
+        let failed = |e: std::io::Error| Failure::new(format!("{}: cannot be written: {e}", folder.display()));
+        let fresh = TempDir::with_prefix_in(".texir-", &self.output).map_err(failed)?;
+        let made = fresh.path().join(CAPTURE);
+        demo::write(&flat, &rendered, &made, session.console)?;
+        if folder.exists() {
+            std::fs::rename(folder, fresh.path().join("earlier")).map_err(failed)?;
+        }
+        std::fs::rename(&made, folder).map_err(failed)
+    }
+}

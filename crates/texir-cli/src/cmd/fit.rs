@@ -1,0 +1,91 @@
+//! `texir fit`: from a capture to relightable materials.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use texir_core::atomic_file::write_atomic;
+use texir_core::capture::Capture;
+use texir_core::fit::{self, EpochLog, FitResult};
+use texir_core::glb::{Materials, Up, write_glb};
+use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
+use texir_core::render::Textures;
+use texir_core::scene::Scene;
+
+use super::{CaptureArgs, Session, describe, eval, report};
+use crate::device;
+use crate::failure::Failure;
+use crate::figures;
+
+/// Arguments of `texir fit`.
+#[derive(Debug, Args)]
+pub struct Fit {
+    #[command(flatten)]
+    capture: CaptureArgs,
+    /// Folder for textures, scene.glb, metrics and report
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Leave out the evaluation and the report
+    #[arg(long)]
+    no_eval: bool,
+}
+
+impl Fit {
+    /// Fits, evaluates, reports.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let staging = Staging::new(&self.output)?;
+        let capture = self.capture.load(session)?;
+        let output = write(staging, &capture, session)?;
+        if self.no_eval {
+            return Ok(());
+        }
+        let evaluation = report::publish(&self.output, &output, &capture, eval::SAMPLES, session)?;
+        session
+            .print(&evaluation, || format!("{}\n\n{}", figures::text(&evaluation), self.output.join(REPORT).display()))
+    }
+}
+
+/// Fits a capture and puts the result where `staging` leads.
+pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Result<FitOutput, Failure> {
+    session.console.note(&format!("{:>24}  {}", "capture", describe(capture)));
+    let scene = Scene::new(capture.mesh.clone())?;
+    let mut backend = device::open(&scene, session.config, session.console)?;
+    let mut log: Vec<EpochLog> = Vec::new();
+    let FitResult { albedo, roughness, irradiance, emission, tbl, plan, timings } =
+        fit::fit(backend.as_mut(), &scene, capture, &session.config.fit, session.console, &mut |epoch| {
+            log.push(*epoch)
+        })?;
+    let run = Run {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        capture: absolute(&capture.root),
+        backend: backend.name(),
+        timings,
+    };
+    drop(backend);
+    let textures = Textures { albedo, roughness, irradiance, emission };
+    let output = FitOutput { mesh: scene.mesh, tbl, textures };
+    let folder = staging.folder();
+    output.save(folder)?;
+    let Textures { albedo, roughness, emission, .. } = &output.textures;
+    let materials = Materials { albedo, roughness, metallic: None, emission: Some(emission) };
+    write_glb(folder.join(SCENE), &output.mesh, &materials, Up::Z)?;
+    let cameras: Vec<_> = capture.views.iter().map(|v| v.camera.position()).collect();
+    plan.write_png(&folder.join(ROOMS), &cameras)?;
+    let settings = toml::to_string_pretty(session.config)
+        .map_err(|e| Failure::new(format!("the settings have no TOML form: {e}")))?;
+    write_atomic(folder.join(SETTINGS), |sink| sink.write_all(settings.as_bytes()))?;
+    write_atomic(folder.join(LOG), |sink| -> Result<(), serde_json::Error> {
+        log.iter().try_for_each(|epoch| {
+            serde_json::to_writer(&mut *sink, epoch)?;
+            sink.write_all(b"\n").map_err(serde_json::Error::io)
+        })
+    })?;
+    write_atomic(folder.join(RUN), |sink| serde_json::to_writer_pretty(sink, &run))?;
+    staging.commit()?;
+    Ok(output)
+}
+
+/// The path as it will be found from anywhere.
+fn absolute(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+}

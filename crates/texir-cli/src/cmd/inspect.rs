@@ -1,0 +1,363 @@
+//! `texir inspect`: a dry run. What was found in a capture and what is assumed of it, whether its cameras and its atlas make
+//! sense, and what a fit will cost.
+
+use clap::Args;
+use glam::Mat4;
+use serde::Serialize;
+use texir_core::backend::Backend;
+use texir_core::camera::{Camera, Projection};
+use texir_core::capture::{Capture, Split, View};
+use texir_core::cpu::CpuBackend;
+use texir_core::fit::FitSettings;
+use texir_core::mesh::Mesh;
+use texir_core::mesh_io::atlas_report;
+use texir_core::scene::Scene;
+
+use super::{CaptureArgs, Session, tbl};
+use crate::console::count;
+use crate::failure::Failure;
+
+/// Columns of the coarse panorama that is traced from every camera.
+const PROBE: usize = 64;
+
+/// A camera from which more than this share of directions leaves the mesh is taken to be outside.
+const OUTSIDE: f64 = 0.3;
+
+/// A camera that sees more back faces than this is taken to be inside a solid, or the mesh to be turned inside out.
+const INSIDE_OUT: f64 = 0.3;
+
+/// Arguments of `texir inspect`.
+#[derive(Debug, Args)]
+pub struct Inspect {
+    #[command(flatten)]
+    capture: CaptureArgs,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Findings {
+    capture: String,
+    mesh: MeshFindings,
+    atlas: AtlasFindings,
+    views: Vec<ViewFindings>,
+    known: Known,
+    estimate: Estimate,
+    warnings: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct MeshFindings {
+    file: String,
+    triangles: usize,
+    vertices: usize,
+    /// Metres.
+    size: [f32; 3],
+    /// Square metres.
+    area: f64,
+}
+
+#[derive(Serialize)]
+struct AtlasFindings {
+    /// Side, texels.
+    size: usize,
+    covered: f64,
+    overlapping: f64,
+    outside_triangles: usize,
+    texels_per_metre: f64,
+}
+
+#[derive(Serialize)]
+struct ViewFindings {
+    name: String,
+    split: Split,
+    projection: &'static str,
+    width: usize,
+    height: usize,
+    /// Share of directions that meet no surface.
+    open: f64,
+    /// Share of the surfaces that are seen from behind.
+    back_faces: f64,
+    /// Distance to the surface below, metres.
+    height_above_floor: Option<f32>,
+    /// Distance to the nearest surface, metres.
+    nearest: Option<f32>,
+}
+
+/// What the capture brings along, in numbers of views where it is per view.
+#[derive(Serialize)]
+struct Known {
+    train: usize,
+    novel: usize,
+    semantic: usize,
+    mask: usize,
+    room: usize,
+    albedo: usize,
+    roughness: usize,
+    hdr_texture: bool,
+    emission: bool,
+    true_textures: bool,
+}
+
+/// What a fit with the current settings takes.
+#[derive(Serialize)]
+struct Estimate {
+    bake_rays: u64,
+    fit_rays: u64,
+    /// Bytes of host memory.
+    memory: u64,
+}
+
+impl Inspect {
+    /// Looks, and says what was seen.
+    pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let capture = self.capture.load(session)?;
+        let findings = inspect(&capture, &session.config.fit)?;
+        session.print(&findings, || text(&findings))
+    }
+}
+
+fn inspect(capture: &Capture, settings: &FitSettings) -> Result<Findings, Failure> {
+    let mesh = &capture.mesh;
+    let size = match (settings.atlas_size, &capture.tbl) {
+        (0, Some(tbl)) => tbl.radiance.width,
+        (0, None) => tbl::DEFAULT_SIZE,
+        (size, _) => size,
+    };
+    let area = area(mesh);
+    let report = atlas_report(mesh, size);
+    let covered_texels = report.covered_fraction * (size * size) as f64;
+    let atlas = AtlasFindings {
+        size,
+        covered: report.covered_fraction,
+        overlapping: report.overlapping_fraction,
+        outside_triangles: report.outside_unit_square_triangles,
+        texels_per_metre: (covered_texels / area).sqrt(),
+    };
+    let scene = Scene::new(mesh.clone())?;
+    let mut backend = CpuBackend::new(&scene);
+    let views = capture.views.iter().map(|view| probe(&mut backend, mesh, view)).collect::<Result<Vec<_>, _>>()?;
+    let (low, high) = mesh.bounds();
+    let mut findings = Findings {
+        capture: capture.root.display().to_string(),
+        mesh: MeshFindings {
+            file: capture.mesh_path.display().to_string(),
+            triangles: mesh.triangles.len(),
+            vertices: mesh.positions.len(),
+            size: (high - low).to_array(),
+            area,
+        },
+        known: known(capture),
+        estimate: estimate(capture, settings, size, covered_texels),
+        atlas,
+        views,
+        warnings: Vec::new(),
+    };
+    findings.warnings = warnings(&findings);
+    Ok(findings)
+}
+
+fn area(mesh: &Mesh) -> f64 {
+    (0..mesh.triangles.len() as u32)
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            f64::from((b - a).cross(c - a).length()) / 2.0
+        })
+        .sum()
+}
+
+/// Looks around from a view's position.
+fn probe(backend: &mut CpuBackend<'_>, mesh: &Mesh, view: &View) -> Result<ViewFindings, Failure> {
+    let position = view.camera.position();
+    let camera = |projection, width, height| Camera {
+        projection,
+        width,
+        height,
+        world_from_camera: Mat4::from_translation(position),
+    };
+    let around = camera(Projection::Equirectangular, PROBE, PROBE / 2);
+    // In a panorama a row's share of the sphere goes with the sine of its polar angle.
+    let (mut all, mut open, mut seen, mut behind) = (0.0, 0.0, 0.0, 0.0);
+    let mut nearest = f32::INFINITY;
+    for (i, hit) in backend.primary(&around)?.iter().enumerate() {
+        let (x, y) = ((i % PROBE) as f32 + 0.5, (i / PROBE) as f32 + 0.5);
+        let weight = (std::f64::consts::TAU * f64::from(y) / PROBE as f64).sin();
+        all += weight;
+        if !hit.is_hit() {
+            open += weight;
+            continue;
+        }
+        seen += weight;
+        nearest = nearest.min(hit.t);
+        if mesh.face_normal(hit.triangle).dot(around.direction(x, y)) > 0.0 {
+            behind += weight;
+        }
+    }
+    // A camera at rest looks along −Z, which is down in the world.
+    let down = camera(Projection::Pinhole { fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 }, 1, 1);
+    let floor = backend.primary(&down)?.first().filter(|hit| hit.is_hit()).map(|hit| hit.t);
+    Ok(ViewFindings {
+        name: view.name.clone(),
+        split: view.split,
+        projection: match view.camera.projection {
+            Projection::Equirectangular => "equirectangular",
+            Projection::Pinhole { .. } => "pinhole",
+        },
+        width: view.camera.width,
+        height: view.camera.height,
+        open: open / all,
+        back_faces: if seen > 0.0 { behind / seen } else { 0.0 },
+        height_above_floor: floor,
+        nearest: nearest.is_finite().then_some(nearest),
+    })
+}
+
+fn known(capture: &Capture) -> Known {
+    let with = |has: fn(&View) -> bool| capture.views.iter().filter(|v| has(v)).count();
+    Known {
+        train: capture.views(Split::Train).count(),
+        novel: capture.views(Split::Novel).count(),
+        semantic: with(|v| v.semantic.is_some()),
+        mask: with(|v| v.mask.is_some()),
+        room: with(|v| v.room.is_some() || v.room_id.is_some()),
+        albedo: with(|v| v.albedo.is_some()),
+        roughness: with(|v| v.roughness.is_some()),
+        hdr_texture: capture.tbl.is_some(),
+        emission: capture.emission.is_some(),
+        true_textures: capture.truth.is_some(),
+    }
+}
+
+fn estimate(capture: &Capture, settings: &FitSettings, size: usize, covered_texels: f64) -> Estimate {
+    let pixels: u64 = capture.views(Split::Train).map(|v| v.camera.pixels() as u64).sum();
+    let per_epoch = pixels * u64::from(settings.specular_samples);
+    let epochs = [settings.stage_two.enabled, settings.stage_three.enabled]
+        .iter()
+        .map(|&enabled| u64::from(enabled) * u64::from(settings.optimiser.epochs))
+        .sum::<u64>();
+    // Seven textures of four channels (parameters, gradients, two Adam moments, TBL, irradiance, emission) with their mips,
+    // the sub-pixel footprints of every training pixel (about 12 taps of 8 bytes, with their transpose), the hierarchy.
+    let texels = (size * size) as u64;
+    let sub_pixels = (settings.footprint_samples * settings.footprint_samples) as u64;
+    let memory = texels * 7 * 16 * 4 / 3 + pixels * sub_pixels * 12 * 16 + capture.mesh.triangles.len() as u64 * 300;
+    Estimate {
+        bake_rays: (covered_texels * f64::from(settings.irradiance_samples)) as u64,
+        fit_rays: per_epoch * epochs,
+        memory,
+    }
+}
+
+fn warnings(findings: &Findings) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for view in &findings.views {
+        if view.open > OUTSIDE {
+            warnings.push(format!(
+                "camera {} sees no surface in {:.0} % of all directions: it is outside of the mesh, or the mesh is open",
+                view.name,
+                100.0 * view.open
+            ));
+        }
+        if view.back_faces > INSIDE_OUT {
+            warnings.push(format!(
+                "camera {} sees {:.0} % of its surroundings from behind: it is inside a solid, or faces point the wrong way",
+                view.name,
+                100.0 * view.back_faces
+            ));
+        }
+    }
+    if findings.atlas.overlapping > 0.01 {
+        warnings.push(format!(
+            "{:.1} % of the covered texels belong to more than one surface: unwrap the mesh without overlaps",
+            100.0 * findings.atlas.overlapping
+        ));
+    }
+    if findings.known.semantic == 0 {
+        warnings.push("no view has semantic classes: roughness cannot be propagated within a class".to_owned());
+    }
+    warnings
+}
+
+fn text(findings: &Findings) -> String {
+    let Findings { mesh, atlas, known, estimate, .. } = findings;
+    let mut out = String::new();
+    let mut line = |name: &str, value: String| out.push_str(&format!("{name:>16}  {value}\n"));
+    line("capture", findings.capture.clone());
+    line("mesh", format!("{}, {} triangles, {} vertices", mesh.file, mesh.triangles, mesh.vertices));
+    let [x, y, z] = mesh.size;
+    line(
+        "extent",
+        format!("{x:.2} × {y:.2} × {z:.2} m, {:.1} m² of surface; +Z is taken as up, units as metres", mesh.area),
+    );
+    line(
+        "atlas",
+        format!(
+            "{0} × {0}, {1:.1} % covered, {2:.2} % of that overlapping, {3} triangles outside, {4:.0} texels per metre",
+            atlas.size,
+            100.0 * atlas.covered,
+            100.0 * atlas.overlapping,
+            atlas.outside_triangles,
+            atlas.texels_per_metre
+        ),
+    );
+    line("views", format!("{} training, {} novel", known.train, known.novel));
+    line(
+        "annotated",
+        format!(
+            "semantic {}, mask {}, room {} of {} views",
+            known.semantic,
+            known.mask,
+            known.room,
+            findings.views.len()
+        ),
+    );
+    let yes = |known| if known { "given" } else { "to be built" };
+    line("HDR texture", yes(known.hdr_texture).to_owned());
+    line("emission", if known.emission { "given" } else { "to be found in the HDR texture" }.to_owned());
+    line(
+        "truth",
+        format!(
+            "albedo of {} views, roughness of {} views, {}",
+            known.albedo,
+            known.roughness,
+            if known.true_textures { "textures" } else { "no textures" }
+        ),
+    );
+    line(
+        "cost of a fit",
+        format!(
+            "{} rays to bake, {} to fit, about {:.1} GB of memory",
+            count(estimate.bake_rays),
+            count(estimate.fit_rays),
+            estimate.memory as f64 / 1e9
+        ),
+    );
+    out.push_str(&cameras(&findings.views));
+    for warning in &findings.warnings {
+        out.push_str(&format!("warning: {warning}\n"));
+    }
+    out.trim_end().to_owned()
+}
+
+/// A table of the cameras.
+fn cameras(views: &[ViewFindings]) -> String {
+    let width = views.iter().map(|v| v.name.chars().count()).max().unwrap_or(0).max(6);
+    let mut out =
+        format!("\n{:<width$}  split  projection       size         open  behind  above floor  nearest\n", "camera");
+    let metres = |value: Option<f32>| value.map_or("-".to_owned(), |v| format!("{v:.2} m"));
+    for view in views {
+        let split = match view.split {
+            Split::Train => "train",
+            Split::Novel => "novel",
+        };
+        let size = format!("{} × {}", view.width, view.height);
+        out += &format!(
+            "{:<width$}  {split}  {:<15}  {size:<11}  {:>3.0} %  {:>4.0} %  {:>11}  {:>7}\n",
+            view.name,
+            view.projection,
+            100.0 * view.open,
+            100.0 * view.back_faces,
+            metres(view.height_above_floor),
+            metres(view.nearest)
+        );
+    }
+    out
+}

@@ -1,0 +1,165 @@
+//! The protocol on a closed box whose views are rendered here, so that the right figures are known.
+
+use std::path::Path;
+
+use glam::{Mat4, Vec2, Vec3};
+
+use super::*;
+use crate::backend::{Backend, Sampling};
+use crate::camera::{Camera, Projection};
+use crate::capture::Truth;
+use crate::cpu::CpuBackend;
+use crate::image_io::{write_gray, write_png_mask, write_rgb};
+use crate::lights::Lights;
+use crate::mesh::Mesh;
+use crate::progress::Silent;
+use crate::scene::Scene;
+
+const ATLAS: (usize, usize) = (48, 32);
+
+/// A box of 4 × 4 × 4 m around the origin, seen from within; its faces are the cells of a 3 × 2 atlas, a little apart.
+fn room() -> Mesh {
+    let mut mesh = Mesh::default();
+    for (face, normal) in [Vec3::X, -Vec3::X, Vec3::Y, -Vec3::Y, Vec3::Z, -Vec3::Z].into_iter().enumerate() {
+        let (right, up) = normal.any_orthonormal_pair();
+        let base = mesh.positions.len() as u32;
+        let cell = Vec2::new((face % 3) as f32, (face / 3) as f32);
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            mesh.positions.push(normal * -2.0 + (right * (2.0 * x - 1.0) + up * (2.0 * y - 1.0)) * 2.0);
+            mesh.normals.push(normal);
+            mesh.uvs.push((cell + 0.1 + 0.8 * Vec2::new(x, y)) / Vec2::new(3.0, 2.0));
+        }
+        mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+    }
+    mesh
+}
+
+fn textures() -> Textures {
+    let (width, height) = ATLAS;
+    let rgb = |f: &dyn Fn(usize) -> [f32; 3]| Rgb::new(width, height, (0..width * height).map(f).collect()).unwrap();
+    Textures {
+        albedo: rgb(&|i| [0.2 + 0.01 * (i % 31) as f32, 0.5, 0.3 + 0.02 * (i % 17) as f32]),
+        roughness: Gray::filled(width, height, 0.4),
+        irradiance: rgb(&|i| [1.0 + 0.02 * (i % 23) as f32; 3]),
+        emission: rgb(&|_| [0.0; 3]),
+    }
+}
+
+fn camera(shift: f32) -> Camera {
+    Camera {
+        projection: Projection::Equirectangular,
+        width: 32,
+        height: 16,
+        world_from_camera: Mat4::from_translation(Vec3::new(shift, 0.3, -0.2)),
+    }
+}
+
+/// A training and a novel view whose images and truth are what the renderer shows of `textures`; the top rows are masked.
+fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: &Textures) -> Capture {
+    let views = [("a", 0.5, Split::Train), ("b", -0.5, Split::Novel)].map(|(name, shift, split)| {
+        let camera = camera(shift);
+        let file = |kind: &str| folder.join(format!("{name}_{kind}"));
+        let surfaces = renderer.surfaces(&camera, textures).unwrap();
+        write_rgb(file("image.exr"), &renderer.render(&camera, textures, &Silent).unwrap()).unwrap();
+        write_rgb(file("albedo.exr"), &surfaces.albedo).unwrap();
+        write_gray(file("roughness.exr"), &surfaces.roughness).unwrap();
+        let mut mask = surfaces.reflective();
+        mask.data[..32].fill(false);
+        write_png_mask(file("mask.png"), &mask).unwrap();
+        View {
+            name: name.to_owned(),
+            camera,
+            split,
+            image: file("image.exr"),
+            semantic: None,
+            mask: Some(file("mask.png")),
+            room: None,
+            room_id: None,
+            albedo: Some(file("albedo.exr")),
+            roughness: Some(file("roughness.exr")),
+        }
+    });
+    Capture {
+        root: folder.to_owned(),
+        mesh_path: folder.join("mesh.obj"),
+        mesh: scene.mesh.clone(),
+        views: views.to_vec(),
+        tbl: None,
+        truth: Some(Truth { albedo: textures.albedo.clone(), roughness: textures.roughness.clone() }),
+        emission: None,
+    }
+}
+
+/// Evaluates the true textures after `change`.
+fn evaluated(change: impl Fn(&mut Textures)) -> Evaluation {
+    let scene = Scene::new(room()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let radiance = textures().irradiance;
+    backend.set_tbl(&radiance, &Lights::none(&scene.mesh)).unwrap();
+    let mut renderer = Renderer::new(&mut backend, &scene, Sampling { samples: 8, seed: 3 });
+    let folder = tempfile::tempdir().unwrap();
+    let capture = capture(folder.path(), &scene, &mut renderer, &textures());
+    let mut result = textures();
+    change(&mut result);
+    let mut shown = Vec::new();
+    let evaluation =
+        evaluate(&mut renderer, &capture, &result, &Silent, &mut |view| shown.push(view.view.name.clone())).unwrap();
+    assert_eq!(shown, ["a", "b"]);
+    evaluation
+}
+
+#[test]
+fn the_truth_is_perfect_and_so_is_its_ceiling() {
+    let evaluation = evaluated(|_| ());
+    for table in [evaluation.result, evaluation.ceiling.unwrap()] {
+        for scores in [table.train, table.novel] {
+            assert!(scores.albedo.unwrap().global.psnr > 100.0, "{scores:?}");
+            assert!(scores.roughness.unwrap().psnr > 100.0, "{scores:?}");
+            assert!(scores.image.unwrap().psnr > 100.0, "{scores:?}");
+            assert!(scores.image.unwrap().ssim > 0.999_999, "{scores:?}");
+        }
+    }
+    let json = serde_json::to_string(&evaluation).unwrap();
+    assert_eq!(serde_json::from_str::<Evaluation>(&json).unwrap(), evaluation);
+}
+
+#[test]
+fn a_wrong_roughness_costs_what_it_is_off_by() {
+    let evaluation = evaluated(|t| t.roughness = t.roughness.map(|r| r + 0.1));
+    for scores in [evaluation.result.train, evaluation.result.novel] {
+        assert!((scores.roughness.unwrap().psnr - 20.0).abs() < 1e-4, "{scores:?}");
+        assert!(scores.albedo.unwrap().per_image.psnr > 100.0, "{scores:?}");
+        assert!(scores.image.unwrap().psnr < 80.0, "{scores:?}");
+    }
+    assert!(evaluation.ceiling.unwrap().train.roughness.unwrap().psnr > 100.0);
+}
+
+#[test]
+fn the_scale_of_albedo_is_free_and_its_shape_is_not() {
+    let scaled = evaluated(|t| t.albedo = t.albedo.map(|a| a.map(|c| 0.5 * c)));
+    let albedo = scaled.result.train.albedo.unwrap();
+    assert!(albedo.per_image.psnr > 100.0 && albedo.global.psnr > 100.0, "{albedo:?}");
+    assert!((scaled.result.global_albedo_scale.unwrap() - 2.0).abs() < 1e-5);
+    assert!(scaled.result.train.image.unwrap().psnr < 30.0);
+    let tinted = evaluated(|t| t.albedo = t.albedo.map(|a| [a[0], 0.5 * a[1], a[2]]));
+    assert!(tinted.result.train.albedo.unwrap().per_image.psnr < 30.0);
+}
+
+#[test]
+fn light_sources_and_masked_pixels_do_not_count() {
+    let scene = Scene::new(room()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    backend.set_tbl(&textures().irradiance, &Lights::none(&scene.mesh)).unwrap();
+    let mut renderer = Renderer::new(&mut backend, &scene, Sampling { samples: 8, seed: 3 });
+    let mut glowing = textures();
+    glowing.emission.data[..48 * 8].fill([9.0; 3]);
+    let surfaces = renderer.surfaces(&camera(0.5), &glowing).unwrap();
+    let reflective = surfaces.reflective();
+    let counted = reflective.data.iter().filter(|r| **r).count();
+    assert!(counted > 0 && counted < 32 * 16, "{counted}");
+    let glow = renderer.render(&camera(0.5), &glowing, &Silent).unwrap();
+    let plain = renderer.render(&camera(0.5), &textures(), &Silent).unwrap();
+    let masked = compare(&encoded(&glow), &encoded(&plain), &reflective).unwrap().unwrap();
+    let all = compare(&encoded(&glow), &encoded(&plain), &reflective.map(|_| true)).unwrap().unwrap();
+    assert!(masked.psnr > all.psnr + 6.0, "{masked:?} {all:?}");
+}

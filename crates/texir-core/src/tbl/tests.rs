@@ -1,0 +1,253 @@
+//! A room whose walls shine in a known pattern, seen by cameras through primary hits.
+
+use glam::{Mat4, Vec2, Vec3};
+
+use super::*;
+use crate::camera::Projection;
+use crate::cpu::CpuBackend;
+use crate::progress::Silent;
+
+const SIZE: (usize, usize) = (384, 256);
+const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
+
+/// A quad from `corner` along two edges, seen from the side of a × b, in one of 3×2 cells of the atlas.
+fn quad(mesh: &mut Mesh, cell: u32, corner: Vec3, a: Vec3, b: Vec3) {
+    let base = mesh.positions.len() as u32;
+    let origin = Vec2::new((cell % 3) as f32 / 3.0, (cell / 3) as f32 / 2.0) + 8.0 / SIZE.0 as f32;
+    let extent = Vec2::new(1.0 / 3.0, 0.5) - 16.0 / SIZE.0 as f32;
+    for (u, v) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+        mesh.positions.push(corner + a * u + b * v);
+        mesh.normals.push(a.cross(b).normalize());
+        mesh.uvs.push(origin + extent * Vec2::new(u, v));
+    }
+    mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+}
+
+/// A closed room, its faces pointing inwards.
+fn room() -> Mesh {
+    let (x, y, z) = (Vec3::X * ROOM.x, Vec3::Y * ROOM.y, Vec3::Z * ROOM.z);
+    let mut mesh = Mesh::default();
+    quad(&mut mesh, 0, Vec3::ZERO, x, y);
+    quad(&mut mesh, 1, z, y, x);
+    quad(&mut mesh, 2, Vec3::ZERO, z, x);
+    quad(&mut mesh, 3, y, x, z);
+    quad(&mut mesh, 4, Vec3::ZERO, y, z);
+    quad(&mut mesh, 5, x, z, y);
+    mesh
+}
+
+/// Radiance of the walls: a smooth pattern, 70 cm from crest to crest.
+fn pattern(p: Vec3) -> [f32; 3] {
+    let wave = |phase: f32| 1.0 + 0.4 * ((p.x + 1.3 * p.y + 0.7 * p.z + phase) * std::f32::consts::TAU / 1.25).sin();
+    [wave(0.0), wave(0.2), wave(0.5)]
+}
+
+fn panorama(position: Vec3, yaw: f32) -> Camera {
+    // Turned upright: the camera's +Y is the room's +Z.
+    let upright = Mat4::from_rotation_z(yaw) * Mat4::from_rotation_x(std::f32::consts::FRAC_PI_2);
+    let world_from_camera = Mat4::from_translation(position) * upright;
+    Camera { projection: Projection::Equirectangular, width: 512, height: 256, world_from_camera }
+}
+
+fn pinhole(position: Vec3, towards: Vec3) -> Camera {
+    let back = (position - towards).normalize();
+    let right = Vec3::Z.cross(back).normalize();
+    let axes = [right.extend(0.0), back.cross(right).extend(0.0), back.extend(0.0), position.extend(1.0)];
+    let world_from_camera = Mat4::from_cols(axes[0], axes[1], axes[2], axes[3]);
+    let projection = Projection::Pinhole { fx: 150.0, fy: 160.0, cx: 121.0, cy: 97.0 };
+    Camera { projection, width: 240, height: 200, world_from_camera }
+}
+
+fn cameras() -> Vec<Camera> {
+    let centre = ROOM / 2.0;
+    vec![
+        panorama(Vec3::new(1.2, 1.1, 1.3), 0.7),
+        panorama(Vec3::new(2.9, 1.9, 1.2), 2.9),
+        pinhole(centre, Vec3::new(4.0, 1.0, 1.0)),
+        pinhole(centre, Vec3::new(0.0, 2.0, 1.5)),
+    ]
+}
+
+/// The image that a camera sees where the surface shines as `radiance(position, direction to the camera)`.
+fn photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
+    let hits = CpuBackend::new(scene).primary(camera).unwrap();
+    let pixel = |i: usize| {
+        let (x, y) = ((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
+        let direction = camera.direction(x, y);
+        radiance(camera.position() + direction * hits[i].t, -direction)
+    };
+    Rgb::new(camera.width, camera.height, (0..hits.len()).map(pixel).collect()).unwrap()
+}
+
+fn fuse_images(scene: &Scene, cameras: &[Camera], images: &[Rgb], options: &TblOptions) -> Tbl {
+    fuse(&mut CpuBackend::new(scene), scene, cameras, |i| Ok(images[i].clone()), SIZE, options, &Silent).unwrap()
+}
+
+/// Mean relative error of the texels that `kind` covers.
+fn error(scene: &Scene, tbl: &Tbl, kind: Coverage, truth: impl Fn(Vec3) -> [f32; 3]) -> f32 {
+    let atlas = Atlas::new(&mut CpuBackend::new(scene), scene, SIZE.0, SIZE.1).unwrap();
+    let errors: Vec<f32> = atlas
+        .texels
+        .iter()
+        .zip(&atlas.points)
+        .filter(|&(&t, _)| tbl.coverage.data[t as usize] == kind)
+        .map(|(&t, p)| {
+            let (got, expected) = (tbl.radiance.data[t as usize], truth(p.position.into()));
+            (0..3).map(|c| (got[c] - expected[c]).abs() / expected[c]).sum::<f32>() / 3.0
+        })
+        .collect();
+    assert!(!errors.is_empty(), "no texel is {kind:?}");
+    errors.iter().sum::<f32>() / errors.len() as f32
+}
+
+#[test]
+fn a_pattern_on_the_walls_comes_back_and_half_a_pixel_matters() {
+    let scene = Scene::new(room()).unwrap();
+    let cameras = cameras();
+    let take = |camera: &Camera| photograph(&scene, camera, |p, _| pattern(p));
+    let images: Vec<Rgb> = cameras.iter().map(take).collect();
+    let tbl = fuse_images(&scene, &cameras, &images, &TblOptions::default());
+    let right = error(&scene, &tbl, Coverage::Seen, pattern);
+    assert!(right < 0.006, "mean relative error {right}");
+    // Negative control: the pixels' values taken half a pixel further right and down.
+    let shifted: Vec<Rgb> = cameras
+        .iter()
+        .map(|camera| {
+            let between = |i: usize| {
+                let (x, y) = ((i % camera.width) as f32 + 1.0, (i / camera.width) as f32 + 1.0);
+                let direction = camera.direction(x, y);
+                // The room is convex and closed: the ray leaves it through the nearest of its planes.
+                let position = camera.position();
+                let exits = ((ROOM - position) / direction).max(-position / direction);
+                pattern(position + direction * exits.min_element())
+            };
+            Rgb::new(camera.width, camera.height, (0..camera.pixels()).map(between).collect()).unwrap()
+        })
+        .collect();
+    let wrong =
+        error(&scene, &fuse_images(&scene, &cameras, &shifted, &TblOptions::default()), Coverage::Seen, pattern);
+    assert!(wrong > 3.0 * right && wrong > 0.015, "half a pixel changes {right} to {wrong} only");
+}
+
+#[test]
+fn each_projection_alone_brings_the_pattern_back() {
+    let scene = Scene::new(room()).unwrap();
+    for camera in cameras() {
+        let image = photograph(&scene, &camera, |p, _| pattern(p));
+        let tbl = fuse_images(&scene, &[camera], &[image], &TblOptions::default());
+        let off = error(&scene, &tbl, Coverage::Seen, pattern);
+        assert!(off < 0.01, "mean relative error {off} from {:?}", camera.projection);
+    }
+}
+
+#[test]
+fn a_highlight_that_moves_with_the_camera_is_left_out() {
+    let scene = Scene::new(room()).unwrap();
+    let positions = [[0.7, 0.6], [3.3, 0.7], [0.8, 2.4], [3.2, 2.3], [2.0, 1.5], [1.3, 1.6], [2.7, 1.2]];
+    let cameras: Vec<Camera> = positions.map(|[x, y]| panorama(Vec3::new(x, y, 1.3), x)).into();
+    // A mirror-like spot on the floor where the ray to the camera is nearly perpendicular.
+    let glossy =
+        |p: Vec3, to_camera: Vec3| pattern(p).map(|l| if to_camera.z > 0.9 && p.z < 0.01 { l * 5.0 } else { l });
+    let images: Vec<Rgb> = cameras.iter().map(|c| photograph(&scene, c, glossy)).collect();
+    let robust =
+        error(&scene, &fuse_images(&scene, &cameras, &images, &TblOptions::default()), Coverage::Seen, pattern);
+    // Negative control: a blend that believes every view.
+    let gullible = TblOptions { tolerance: 1e6, ..TblOptions::default() };
+    let plain = error(&scene, &fuse_images(&scene, &cameras, &images, &gullible), Coverage::Seen, pattern);
+    assert!(robust < 0.01, "mean relative error {robust}");
+    assert!(plain > 5.0 * robust, "without rejection the error is {plain}, with it {robust}");
+}
+
+#[test]
+fn what_no_view_sees_is_inpainted_from_around_and_flagged() {
+    let scene = Scene::new(room()).unwrap();
+    // Every face shines in its own brightness; the one pinhole sees parts of some.
+    const LIT: [f32; 6] = [0.5, 0.8, 1.1, 1.4, 1.7, 2.0];
+    let faces = |p: Vec3| {
+        let planes = [p.z, ROOM.z - p.z, p.y, ROOM.y - p.y, p.x, ROOM.x - p.x];
+        let nearest = (0..6).min_by(|&a, &b| planes[a].total_cmp(&planes[b])).unwrap();
+        [LIT[nearest]; 3]
+    };
+    let camera = pinhole(ROOM / 2.0, Vec3::new(4.0, 1.5, 1.0));
+    let image = photograph(&scene, &camera, |p, _| faces(p));
+    let tbl = fuse_images(&scene, &[camera], &[image], &TblOptions::default());
+    let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
+    let coverage = |texel: u32| tbl.coverage.data[texel as usize];
+    let texels = || atlas.texels.iter().copied().zip(atlas.points.iter().map(|p| p.triangle as usize / 2));
+    assert!(texels().all(|(texel, _)| coverage(texel) != Coverage::Outside));
+    // A face of which a part is seen is filled with its own brightness, and never with its neighbour's.
+    let seen: Vec<bool> =
+        (0..6).map(|f| texels().any(|(t, face)| face == f && coverage(t) == Coverage::Seen)).collect();
+    assert!(seen.contains(&true) && seen.contains(&false));
+    let of_seen_faces = || texels().filter(|&(_, face)| seen[face]);
+    assert!(of_seen_faces().any(|(texel, _)| coverage(texel) == Coverage::Inpainted));
+    for (texel, face) in of_seen_faces() {
+        let got = tbl.radiance.data[texel as usize][0];
+        assert!((got - LIT[face]).abs() < 1e-3, "face {face} has {got} where {:?}", coverage(texel));
+    }
+    assert!(tbl.radiance.data.iter().flatten().all(|v| v.is_finite()));
+}
+
+#[test]
+fn lamps_keep_their_radiance_and_are_not_spread_to_what_is_unseen() {
+    let scene = Scene::new(room()).unwrap();
+    // A lamp panel in the ceiling, a part of which a wide photo shows.
+    let lamp = |p: Vec3| p.z > ROOM.z - 0.01 && (p.x - 2.0).abs() < 0.5 && (p.y - 1.5).abs() < 0.4;
+    let shine = |p: Vec3| if lamp(p) { [5000.0; 3] } else { [0.5; 3] };
+    let camera = pinhole(Vec3::new(2.0, 0.2, 0.5), Vec3::new(2.0, 1.9, 2.5));
+    let image = photograph(&scene, &camera, |p, _| shine(p));
+    let tbl = fuse_images(&scene, &[camera], &[image], &TblOptions::default());
+    let brightest = tbl.radiance.data.iter().map(|l| l[0]).fold(0.0, f32::max);
+    assert!((brightest - 5000.0).abs() < 1.0, "the lamp shines with {brightest}");
+    assert!(error(&scene, &tbl, Coverage::Inpainted, |_| [0.5; 3]) < 1e-3);
+}
+
+#[test]
+fn the_gutter_repeats_the_chart_and_counts_as_outside() {
+    let scene = Scene::new(room()).unwrap();
+    let camera = panorama(ROOM / 2.0, 0.0);
+    let image = Rgb::filled(camera.width, camera.height, [0.7; 3]);
+    for gutter in [0, 3] {
+        let options = TblOptions { gutter, ..TblOptions::default() };
+        let tbl = fuse_images(&scene, &[camera], std::slice::from_ref(&image), &options);
+        let lit = tbl.radiance.data.iter().zip(&tbl.coverage.data);
+        let lit_outside = lit.filter(|(l, c)| **c == Coverage::Outside && l[0] > 0.0);
+        assert_eq!(lit_outside.clone().count() > 0, gutter > 0);
+        assert!(lit_outside.clone().all(|(l, _)| (l[0] - 0.7).abs() < 1e-5));
+    }
+}
+
+#[test]
+fn the_result_does_not_depend_on_the_order_of_views_or_the_run() {
+    let scene = Scene::new(room()).unwrap();
+    let mut cameras = cameras();
+    let images: Vec<Rgb> = cameras.iter().map(|c| photograph(&scene, c, |p, _| pattern(p))).collect();
+    let options = TblOptions::default();
+    let first = fuse_images(&scene, &cameras[2..], &images[2..], &options);
+    assert_eq!(first, fuse_images(&scene, &cameras[2..], &images[2..], &options));
+    let forward = fuse_images(&scene, &cameras, &images, &options);
+    cameras.reverse();
+    let images: Vec<Rgb> = images.into_iter().rev().collect();
+    let backward = fuse_images(&scene, &cameras, &images, &options);
+    for (a, b) in forward.radiance.data.iter().zip(&backward.radiance.data) {
+        assert!((0..3).all(|c| (a[c] - b[c]).abs() <= 1e-5 * a[c]), "{a:?} against {b:?}");
+    }
+}
+
+#[test]
+fn unusable_input_is_an_error() {
+    let scene = Scene::new(room()).unwrap();
+    let inside = panorama(ROOM / 2.0, 0.0);
+    let fails = |camera: Camera, image: Rgb, options: TblOptions, says: &str| {
+        let mut backend = CpuBackend::new(&scene);
+        let result = fuse(&mut backend, &scene, &[camera], |_| Ok(image.clone()), SIZE, &options, &Silent);
+        let error = result.unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+    };
+    let grey = Rgb::filled(512, 256, [0.5; 3]);
+    let options = TblOptions::default();
+    fails(inside, Rgb::filled(8, 8, [0.5; 3]), options, "pixels");
+    fails(panorama(ROOM * 3.0, 0.0), grey.clone(), options, "sees the mesh");
+    fails(inside, grey.map(|_| [f32::NAN; 3]), options, "sees the mesh");
+    fails(inside, grey, TblOptions { quantile: 1.5, ..options }, "tbl.quantile is 1.5");
+}
