@@ -86,7 +86,7 @@ fn rays_that_leave_the_scene_miss() {
         let twin = |i: usize| primary::primary::<f64>(&exact, &camera, i % camera.width, i / camera.width).is_some();
         let wrong: Vec<_> = (0..hits.len()).filter(|&i| hits[i].is_hit() != twin(i)).collect();
         assert!(wrong.is_empty(), "pixels {wrong:?}");
-        assert!(hits.iter().any(|h| *h == Hit::MISS));
+        assert!(hits.contains(&Hit::MISS));
     }
     let up = SurfacePoint { position: [0.5, 0.5, 0.1], triangle: 0, normal: [0.0, 0.0, 1.0], pad: 0.0 };
     let gather = Gather { cosine: 32, light: 0, seed: 1 };
