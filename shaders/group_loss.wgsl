@@ -1,5 +1,6 @@
-// Smoothness over groups of pixels: the mean over pixels of |value − target_group| and its gradient (method section 3). The target is the
-// group's mean, through which the gradient flows, or a quantile of its reference members, held fixed.
+// Smoothness over groups of pixels: the mean over all grouped pixels of |value − target_group|, and its gradient (method
+// section 3). The target is the group's mean, through which the gradient flows, or a quantile of its reference members,
+// held fixed.
 //
 // A workgroup owns one group and channel; its 256 threads stride over the members. Sums are added in a fixed tree, a
 // barrier per level; the quantile is selected byte by byte from counts in integer atomics, which do not depend on order.

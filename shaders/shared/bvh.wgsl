@@ -51,13 +51,13 @@ fn child_hits(tags: u32, inside: vec4<bool>, octant: u32) -> u32 {
 }
 
 // Whether the ray meets each of four boxes before t_max; planes in node units, `near` and `far` already ordered.
-fn slabs(near: array<u32, 3>, far: array<u32, 3>, scale: vec3f, offset: vec3f, t_max: f32) -> vec4<bool> {
-    let x0 = vec4f(bytes_of(near[0])) * scale.x + offset.x;
-    let y0 = vec4f(bytes_of(near[1])) * scale.y + offset.y;
-    let z0 = vec4f(bytes_of(near[2])) * scale.z + offset.z;
-    let x1 = vec4f(bytes_of(far[0])) * scale.x + offset.x;
-    let y1 = vec4f(bytes_of(far[1])) * scale.y + offset.y;
-    let z1 = vec4f(bytes_of(far[2])) * scale.z + offset.z;
+fn slabs(near: vec3u, far: vec3u, scale: vec3f, offset: vec3f, t_max: f32) -> vec4<bool> {
+    let x0 = vec4f(bytes_of(near.x)) * scale.x + offset.x;
+    let y0 = vec4f(bytes_of(near.y)) * scale.y + offset.y;
+    let z0 = vec4f(bytes_of(near.z)) * scale.z + offset.z;
+    let x1 = vec4f(bytes_of(far.x)) * scale.x + offset.x;
+    let y1 = vec4f(bytes_of(far.y)) * scale.y + offset.y;
+    let z1 = vec4f(bytes_of(far.z)) * scale.z + offset.z;
     let enter = max(max(x0, y0), max(z0, vec4f(0.0)));
     let leave = min(min(x1, y1) * SLAB_ROUNDING, min(z1 * SLAB_ROUNDING, vec4f(t_max)));
     return enter <= leave;
@@ -85,8 +85,8 @@ fn intersect_node(node: u32, ray: TraversalRay, t_max: f32) -> NodeHits {
     let nx = select(x, x.zwxy, back.x);
     let ny = select(y, y.zwxy, back.y);
     let nz = select(z, z.zwxy, back.z);
-    let low = slabs(array(nx.x, ny.x, nz.x), array(nx.z, ny.z, nz.z), scale, offset, t_max);
-    let high = slabs(array(nx.y, ny.y, nz.y), array(nx.w, ny.w, nz.w), scale, offset, t_max);
+    let low = slabs(vec3u(nx.x, ny.x, nz.x), vec3u(nx.z, ny.z, nz.z), scale, offset, t_max);
+    let high = slabs(vec3u(nx.y, ny.y, nz.y), vec3u(nx.w, ny.w, nz.w), scale, offset, t_max);
     return NodeHits(child_hits(links.z, low, ray.octant) | child_hits(links.w, high, ray.octant), head, links);
 }
 

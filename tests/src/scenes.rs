@@ -111,7 +111,7 @@ pub fn smooth_light(size: usize) -> Rgb {
         for x in 0..size {
             let (u, v) = ((x as f32 + 0.5) / size as f32, (y as f32 + 0.5) / size as f32);
             let chart = (v * CHARTS as f32) as u32 * CHARTS as u32 + (u * CHARTS as f32) as u32;
-            let level = if texir_core::rng::hash(chart) % 7 == 0 { 4.0 } else { 0.5 };
+            let level = if texir_core::rng::hash(chart).is_multiple_of(7) { 4.0 } else { 0.5 };
             light.data[y * size + x] =
                 [level * (1.0 + 0.3 * (7.0 * u).sin()), level * (0.8 + 0.2 * v), level * (0.5 + 0.4 * u * v)];
         }

@@ -1,4 +1,5 @@
 //! Every shader composes and validates; what is wrong is reported with its file and line.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use texir_gpu::wgsl::{Library, RoughnessVariant, SHADERS, Variant};
 

@@ -1,4 +1,5 @@
 //! Every WGSL pass against its twin in `f64`, which finds hits by testing every triangle.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use glam::Vec3;
 use texir_core::backend::{
@@ -85,7 +86,7 @@ fn rays_that_leave_the_scene_miss() {
         let twin = |i: usize| primary::primary::<f64>(&exact, &camera, i % camera.width, i / camera.width).is_some();
         let wrong: Vec<_> = (0..hits.len()).filter(|&i| hits[i].is_hit() != twin(i)).collect();
         assert!(wrong.is_empty(), "pixels {wrong:?}");
-        assert!(hits.iter().any(|h| *h == Hit::MISS));
+        assert!(hits.contains(&Hit::MISS));
     }
     let up = SurfacePoint { position: [0.5, 0.5, 0.1], triangle: 0, normal: [0.0, 0.0, 1.0], pad: 0.0 };
     let gather = Gather { cosine: 32, light: 0, seed: 1 };
@@ -200,7 +201,7 @@ fn shading(scene: &Scene, backend: &mut GpuBackend, camera: &Camera, step: usize
             };
             let albedo = [unit(n, 4), unit(n, 5), unit(n, 6)];
             let roughness = 0.02 + 0.9 * unit(n, 7);
-            let metallic = if hash(n) % 3 == 0 { unit(n, 8) } else { 0.0 };
+            let metallic = if hash(n).is_multiple_of(3) { unit(n, 8) } else { 0.0 };
             (shade_point, Material { metallic, ..Material::dielectric(albedo, roughness) })
         })
         .unzip()
@@ -285,7 +286,7 @@ fn image_loss() {
     let colours = |s: u32| (0..n).map(|i| [0, 1, 2].map(|c| 5.0 * unit(i, s + c))).collect::<Vec<[f32; 3]>>();
     let (mut rendered, target) = (colours(1), colours(9));
     rendered[7] = target[7];
-    let weight: Vec<f32> = (0..n).map(|i| if i % 5 == 0 { 0.0 } else { unit(i, 30) }).collect();
+    let weight: Vec<f32> = (0..n).map(|i| if i.is_multiple_of(5) { 0.0 } else { unit(i, 30) }).collect();
     let loss = backend.radiance_loss(&rendered, &target, &weight).unwrap();
     let total: f64 = 3.0 * weight.iter().map(|&w| f64::from(w)).sum::<f64>();
     let twin: Vec<(f64, V3<f64>)> = (0..n as usize)
@@ -356,11 +357,11 @@ fn groups_that_do_not_fit_are_refused() {
 /// A pyramid with holes and odd sizes, and footprints from all of its levels; the first sees very many texels.
 fn pyramid() -> (Pyramid, Footprints) {
     let (width, height) = (183, 101);
-    let valid: Vec<bool> = (0..width * height).map(|i| hash(i as u32 / 7) % 4 != 0).collect();
+    let valid: Vec<bool> = (0..width * height).map(|i| !hash(i as u32 / 7).is_multiple_of(4)).collect();
     let pyramid = Pyramid::new(width, height, &valid);
     let taps = |row: u32| {
         let texel = |t: usize| Tap { texel: t as u32, weight: unit(t as u32, row) };
-        let sees = |t: &usize| row == 0 || hash2(row, *t as u32) % 3000 == 0;
+        let sees = |t: &usize| row == 0 || hash2(row, *t as u32).is_multiple_of(3000);
         (0..pyramid.len()).filter(|&t| pyramid.coverage[t] > 0.0).filter(sees).map(texel).collect()
     };
     let footprints = Footprints::new(Rows::from_lists((0..500).map(taps)));

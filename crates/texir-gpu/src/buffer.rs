@@ -8,8 +8,11 @@ use texir_core::error::{Error, Result};
 
 use crate::gpu::Gpu;
 
-/// Largest staging buffer: larger ones are slower per byte (fresh pages), and cost memory twice.
-const STAGING_BYTES: u64 = 64 << 20;
+/// Largest staging buffer: larger ones are slower per byte, and cost memory twice.
+const STAGING_BYTES: usize = 64 << 20;
+
+/// Uploads below this size go through the queue's own staging memory.
+const SMALL_BYTES: usize = 64 << 10;
 
 /// The first bytes of a buffer, as much as is in use.
 #[derive(Clone)]
@@ -53,11 +56,12 @@ impl View {
     }
 }
 
-/// Buffers by name, and the staging buffer.
+/// Buffers by name, and the staging buffers.
 #[derive(Default)]
 pub(crate) struct Pool {
     buffers: HashMap<&'static str, wgpu::Buffer>,
-    staging: Option<wgpu::Buffer>,
+    up: Option<wgpu::Buffer>,
+    down: Option<wgpu::Buffer>,
 }
 
 impl Pool {
@@ -77,64 +81,89 @@ impl Pool {
     /// Copies `data` into the buffer `name`.
     pub fn upload<T: Pod>(&mut self, gpu: &Gpu, name: &'static str, data: &[T]) -> Result<View> {
         let view = self.reserve(gpu, name, size_of_val(data) as u64)?;
-        view.write(gpu, data);
+        self.write(gpu, &view, data)?;
         Ok(view)
+    }
+
+    /// Overwrites the start of a buffer.
+    pub fn write<T: Pod>(&mut self, gpu: &Gpu, view: &View, data: &[T]) -> Result<()> {
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        if bytes.len() < SMALL_BYTES {
+            view.write(gpu, data);
+            return Ok(());
+        }
+        for (piece, bytes) in bytes.chunks(STAGING_BYTES).enumerate() {
+            let size = padded(bytes.len() as u64);
+            let usage = wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC;
+            let staging = staging(gpu, &mut self.up, size, usage);
+            map(gpu, &staging, wgpu::MapMode::Write, size)?;
+            let mut range = staging.get_mapped_range_mut(0..size).map_err(|e| failed(gpu, e))?;
+            range.slice(..bytes.len()).copy_from_slice(bytes);
+            drop(range);
+            staging.unmap();
+            let mut encoder = gpu.device().create_command_encoder(&Default::default());
+            let first = (piece * STAGING_BYTES) as u64;
+            encoder.copy_buffer_to_buffer(&staging, 0, &view.buffer, first, Some(size.min(view.bytes - first)));
+            gpu.queue().submit([encoder.finish()]);
+        }
+        Ok(())
     }
 
     /// Reads `count` values from the start of a buffer, after everything submitted before.
     pub fn download<T: Pod>(&mut self, gpu: &Gpu, view: &View, count: usize) -> Result<Vec<T>> {
         let mut out: Vec<T> = Vec::with_capacity(count);
         // Whole values in every piece, and pieces aligned to the four bytes that copies need.
-        let piece = (STAGING_BYTES as usize / (4 * size_of::<T>())) * 4;
+        let piece = (STAGING_BYTES / (4 * size_of::<T>())) * 4;
         while out.len() < count {
             let values = piece.min(count - out.len());
-            let bytes = padded((values * size_of::<T>()) as u64);
-            let staging = self.staging(gpu, bytes);
+            let first = (out.len() * size_of::<T>()) as u64;
+            let size = padded((values * size_of::<T>()) as u64).min(view.bytes - first);
+            let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+            let staging = staging(gpu, &mut self.down, size, usage);
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
-            encoder.copy_buffer_to_buffer(
-                &view.buffer,
-                (out.len() * size_of::<T>()) as u64,
-                &staging,
-                0,
-                Some(bytes.min(view.bytes)),
-            );
-            let submission = gpu.queue().submit([encoder.finish()]);
-            let mapped = std::sync::Arc::new(std::sync::Mutex::new(None));
-            let slot = mapped.clone();
-            staging.map_async(wgpu::MapMode::Read, 0..bytes, move |result| {
-                if let Ok(mut slot) = slot.lock() {
-                    *slot = Some(result);
-                }
-            });
-            gpu.wait(submission)?;
-            let failed = |e: &dyn std::fmt::Display| Error::device(format!("{}: reading back: {e}", gpu.info().name));
-            match mapped.lock().map(|slot| slot.clone()) {
-                Ok(Some(Ok(()))) => {}
-                Ok(Some(Err(e))) => return Err(failed(&e)),
-                Ok(None) | Err(_) => return Err(failed(&"the buffer was not mapped when the device had finished")),
+            encoder.copy_buffer_to_buffer(&view.buffer, first, &staging, 0, Some(size));
+            gpu.queue().submit([encoder.finish()]);
+            map(gpu, &staging, wgpu::MapMode::Read, size)?;
+            let range = staging.get_mapped_range(0..size).map_err(|e| failed(gpu, e))?;
+            let bytes = &range[..values * size_of::<T>()];
+            match bytemuck::try_cast_slice(bytes) {
+                Ok(values) => out.extend_from_slice(values),
+                Err(_) => out.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>)),
             }
-            let range = staging.get_mapped_range(0..bytes).map_err(|e| failed(&e))?;
-            let read = &range[..values * size_of::<T>()];
-            out.extend(read.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>));
             drop(range);
             staging.unmap();
         }
         Ok(out)
     }
+}
 
-    fn staging(&mut self, gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
-        if let Some(buffer) = self.staging.as_ref().filter(|b| b.size() >= bytes) {
-            return buffer.clone();
-        }
-        let buffer = gpu.device().create_buffer(&wgpu::BufferDescriptor {
-            label: Some("texir staging"),
-            size: bytes.next_power_of_two(),
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        self.staging = Some(buffer.clone());
-        buffer
+/// The staging buffer in `slot`, made anew when it is too small. Kept, as fresh pages cost more than the copy.
+fn staging(gpu: &Gpu, slot: &mut Option<wgpu::Buffer>, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    if let Some(buffer) = slot.as_ref().filter(|b| b.size() >= bytes) {
+        return buffer.clone();
     }
+    let size = bytes.next_power_of_two();
+    let descriptor = wgpu::BufferDescriptor { label: Some("texir staging"), size, usage, mapped_at_creation: false };
+    slot.insert(gpu.device().create_buffer(&descriptor)).clone()
+}
+
+/// Maps the first bytes of a staging buffer, once the device is done with it.
+fn map(gpu: &Gpu, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) -> Result<()> {
+    let (sender, receiver) = std::sync::mpsc::channel();
+    buffer.map_async(mode, 0..bytes, move |result| {
+        // The receiver is gone only when waiting failed, which is reported instead.
+        let _ = sender.send(result);
+    });
+    gpu.wait_for_all()?;
+    match receiver.try_recv() {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(e)) => Err(failed(gpu, e)),
+        Err(_) => Err(failed(gpu, "the buffer was not mapped when the device had finished")),
+    }
+}
+
+fn failed(gpu: &Gpu, e: impl std::fmt::Display) -> Error {
+    Error::device(format!("{}: copying to or from the device failed: {e}", gpu.info().name))
 }
 
 /// A buffer of its own that holds `data`, for as long as the view lives.

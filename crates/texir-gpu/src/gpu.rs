@@ -107,8 +107,16 @@ impl Gpu {
 
     /// Waits until a submission is done.
     pub(crate) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<()> {
-        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
-        match self.device.poll(poll) {
+        self.poll(Some(submission))
+    }
+
+    /// Waits until everything submitted is done, and mappings with it.
+    pub(crate) fn wait_for_all(&self) -> Result<()> {
+        self.poll(None)
+    }
+
+    fn poll(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<()> {
+        match self.device.poll(wgpu::PollType::Wait { submission_index, timeout: None }) {
             Ok(_) => Ok(()),
             Err(e) => Err(Error::device(format!("{}: waiting for the device failed: {e}", self.info.name))),
         }

@@ -60,7 +60,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ("irradiance", "LightSlot", host!(LightSlot { primitive, alternative, keep })),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),
-        ("group_loss", "GroupLossParams", host!(GroupLossParams { channels, quantile, jobs })),
+        ("group_loss", "GroupLossParams", host!(GroupLossParams { channels, quantile, jobs, share })),
         (
             "irradiance",
             "IrradianceParams",

@@ -94,7 +94,7 @@ pub(crate) fn run(
     let count = footprints.len() * channels;
     let coverage = coverage(ctx, cache, pyramid)?;
     let texels = ctx.pool.reserve(&ctx.gpu, "pyramid", (pyramid.len() * channels * 4) as u64)?;
-    texels.write(&ctx.gpu, texture);
+    ctx.pool.write(&ctx.gpu, &texels, texture)?;
     let values = ctx.pool.reserve(&ctx.gpu, "looked-up values", (count * 4) as u64)?;
     let levels = Levels::new(ctx, pyramid, &coverage, &texels, channels, Direction::Reduce)?;
     let gathering = gathering(ctx, cache, &footprints.rows, channels, (&texels, &values), None)?;
@@ -125,6 +125,6 @@ pub(crate) fn run_vjp(
         gathering.record(pass);
         levels.record(pass);
     })?;
-    let atlas = pyramid.levels[0];
-    ctx.pool.download(&ctx.gpu, &d_texels, atlas.width * atlas.height * channels)
+    let atlas = pyramid.levels.first().map_or(0, |l| l.width * l.height);
+    ctx.pool.download(&ctx.gpu, &d_texels, atlas * channels)
 }
