@@ -71,13 +71,5 @@ pub fn build(
     session: &Session<'_>,
 ) -> Result<capture::Tbl, Failure> {
     let views: Vec<View> = capture.views(Split::Train).cloned().collect();
-    Ok(tbl::fuse(
-        backend,
-        scene,
-        &views.iter().map(|v| v.camera).collect::<Vec<_>>(),
-        &mut |i| views[i].load_image(session.console),
-        (size, size),
-        &TblOptions::default(),
-        session.console,
-    )?)
+    Ok(tbl::build(backend, scene, &views, (size, size), &TblOptions::default(), session.console)?)
 }
