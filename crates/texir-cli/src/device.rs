@@ -3,17 +3,35 @@
 use texir_core::backend::Backend;
 use texir_core::cpu::CpuBackend;
 use texir_core::scene::Scene;
+use texir_gpu::{Gpu, GpuBackend};
 
 use crate::args::{BackendChoice, Config};
 use crate::console::Console;
-use crate::failure::Failure;
+use crate::failure::{Context, Failure};
 
 /// Opens the backend that the user asked for, or the best there is.
 pub fn open<'a>(scene: &'a Scene, config: &Config, console: &Console) -> Result<Box<dyn Backend + 'a>, Failure> {
-    if config.backend == BackendChoice::Gpu {
-        return Err(Failure::new("this build has no GPU backend").help("use --backend cpu"));
-    }
-    let backend = Box::new(CpuBackend::new(scene));
+    let backend: Box<dyn Backend + 'a> = match find_gpu(config, console)? {
+        Some(gpu) => Box::new(GpuBackend::new(&gpu, scene).context("the GPU backend could not be set up")?),
+        None => Box::new(CpuBackend::new(scene)),
+    };
     console.note(&format!("{:>24}  {}", "runs on", backend.name()));
     Ok(backend)
+}
+
+fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> {
+    let adapter = config.adapter.as_deref();
+    match (config.backend, Gpu::headless(adapter)) {
+        (BackendChoice::Cpu, _) => Ok(None),
+        (_, Ok(gpu)) => Ok(Some(gpu)),
+        (BackendChoice::Auto, Err(error)) if adapter.is_none() => {
+            console.detail(&error.to_string());
+            console.note("no GPU adapter was found: the passes run on the CPU, which gives the same results more slowly");
+            Ok(None)
+        }
+        (_, Err(error)) => Err(Failure::from(error).help(
+            "install a Vulkan driver (on Debian and Ubuntu, `apt install mesa-vulkan-drivers` also brings one that needs no \
+             graphics card), or use --backend cpu",
+        )),
+    }
 }
