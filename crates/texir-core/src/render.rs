@@ -1,7 +1,7 @@
 //! Views of a scene with given textures: what `render`, `eval` and `report` look at.
 //!
-//! primary hits → trilinear footprints → material at every pixel ([`Renderer::surfaces`]) → shade, add emission
-//! ([`Renderer::render`]).
+//! primary hits → trilinear footprints → material at every pixel ([`Renderer::surfaces`]) → the same for sub-pixels, shade,
+//! add emission, average ([`Renderer::render`]).
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Material, RoughnessGradient, Sampling, ShadePoint};
@@ -12,13 +12,14 @@ use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::scene::Scene;
 use crate::surface::Hit;
-use crate::texture::{Footprints, Pyramid};
+use crate::texture::{Footprints, Pyramid, Rows};
 
-/// Pixels shaded per call of the backend: bounds its buffers (about 10 MB) whatever the size of the view.
-const CHUNK: usize = 1 << 16;
+/// Pixels worked on at a time: bounds footprints and the backend's buffers (about 100 MB) whatever the size of the view.
+const CHUNK: usize = 1 << 18;
 
-/// Sub-pixel footprints per pixel and axis in rendered views: captured images are box-filtered over the pixel.
-const FOOTPRINT_SAMPLES: usize = 2;
+/// Sub-pixels per pixel and axis in rendered views, which share the pixel's samples. Captured images are box-filtered over
+/// the pixel, and at the edges of lamps and windows a small share of it decides.
+const SUB_PIXELS: usize = 4;
 
 /// Textures in the scene's atlas. Their resolutions may differ.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,66 +79,99 @@ impl<'a> Renderer<'a> {
         self.sampling.samples
     }
 
-    /// Rays of a view, as progress counts them: samples × pixels.
+    /// Rays of a view, as progress counts them: samples × sub-pixels.
     pub fn rays(&self, camera: &Camera) -> u64 {
-        camera.pixels() as u64 * u64::from(self.sampling.samples)
+        (camera.pixels() * SUB_PIXELS * SUB_PIXELS) as u64 * u64::from(self.sub_pixel_samples())
     }
 
-    /// The materials and light at every pixel centre, by trilinear lookup.
+    /// The materials and light at every pixel centre.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Textures) -> Result<Surfaces> {
         let hits = self.backend.primary(camera)?;
-        self.look_up_all(camera, 1, hits, textures)
+        let mut all = Values::default();
+        let pixels: Vec<u32> = (0..camera.pixels() as u32).collect();
+        for pixels in pixels.chunks(CHUNK) {
+            all.append(self.look_up_all(&Seen { camera, hits: &hits, pixels }, textures)?);
+        }
+        let (width, height) = (camera.width, camera.height);
+        Ok(Surfaces {
+            hits,
+            albedo: Raster::new(width, height, all.albedo)?,
+            roughness: Raster::new(width, height, all.roughness)?,
+            irradiance: Raster::new(width, height, all.irradiance)?,
+            emission: Raster::new(width, height, all.emission)?,
+        })
     }
 
     /// The view's radiance. Advances `progress` by [`Renderer::rays`]; the caller starts and finishes the task.
     pub fn render(&mut self, camera: &Camera, textures: &Textures, progress: &dyn Progress) -> Result<Rgb> {
-        let hits = self.backend.primary(camera)?;
-        let pixels: Vec<u32> = (0..camera.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-        let seen = self.look_up_all(camera, FOOTPRINT_SAMPLES, hits, textures)?;
+        let fine = camera.supersampled(SUB_PIXELS);
+        let hits = self.backend.primary(&fine)?;
+        let sampling = Sampling { samples: self.sub_pixel_samples(), ..self.sampling };
+        let pixels: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
         let mut radiance = Rgb::filled(camera.width, camera.height, [0.0; 3]);
         for pixels in pixels.chunks(CHUNK) {
-            let (points, materials): (Vec<ShadePoint>, Vec<Material>) = pixels
-                .iter()
-                .map(|&pixel| {
-                    let i = pixel as usize;
-                    let irradiance = seen.irradiance.data[i];
-                    let point = ShadePoint::new(&self.scene.mesh, camera, pixel, &seen.hits[i], irradiance);
-                    (point, Material::dielectric(seen.albedo.data[i], seen.roughness.data[i]))
-                })
-                .unzip();
-            let shaded = self.backend.shade(&points, &materials, self.sampling, RoughnessGradient::Exact, progress)?;
-            for (&pixel, shaded) in pixels.iter().zip(&shaded) {
-                let emitted = seen.emission.data[pixel as usize];
-                radiance.data[pixel as usize] = std::array::from_fn(|c| shaded.radiance[c] + emitted[c]);
+            let values = self.look_up_all(&Seen { camera: &fine, hits: &hits, pixels }, textures)?;
+            let point = |(&pixel, &irradiance): (&u32, &[f32; 3])| {
+                ShadePoint::new(&self.scene.mesh, &fine, pixel, &hits[pixel as usize], irradiance)
+            };
+            let points: Vec<ShadePoint> = pixels.iter().zip(&values.irradiance).map(point).collect();
+            let materials: Vec<Material> =
+                values.albedo.iter().zip(&values.roughness).map(|(&a, &r)| Material::dielectric(a, r)).collect();
+            let shaded = self.backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, progress)?;
+            for ((&pixel, shaded), emitted) in pixels.iter().zip(&shaded).zip(&values.emission) {
+                let (x, y) = (pixel as usize % fine.width / SUB_PIXELS, pixel as usize / fine.width / SUB_PIXELS);
+                let sum = &mut radiance.data[y * camera.width + x];
+                *sum = std::array::from_fn(|c| {
+                    sum[c] + (shaded.radiance[c] + emitted[c]) / (SUB_PIXELS * SUB_PIXELS) as f32
+                });
             }
         }
-        progress.advance((camera.pixels() - pixels.len()) as u64 * u64::from(self.sampling.samples));
+        progress.advance((fine.pixels() - pixels.len()) as u64 * u64::from(sampling.samples));
         Ok(radiance)
     }
 
-    /// All textures through the footprints of `factor`² sub-pixels a pixel; `hits` are those of the pixel centres.
-    fn look_up_all(&mut self, camera: &Camera, factor: usize, hits: Vec<Hit>, textures: &Textures) -> Result<Surfaces> {
-        let fine = camera.supersampled(factor);
-        let fine_hits = if factor == 1 { hits.clone() } else { self.backend.primary(&fine)? };
-        let mut seen = Seen { fine, factor, hits: fine_hits, footprints: Vec::new() };
-        let mut rgb = |texture: &Rgb| -> Result<Rgb> {
-            let values = self.look_up(texture.size(), bytemuck::cast_slice(&texture.data), 3, &mut seen)?;
-            Raster::new(camera.width, camera.height, values.as_chunks::<3>().0.to_vec())
-        };
-        let albedo = rgb(&textures.albedo)?;
-        let irradiance = rgb(&textures.irradiance)?;
-        let emission = rgb(&textures.emission)?;
-        let roughness = self.look_up(textures.roughness.size(), &textures.roughness.data, 1, &mut seen)?;
-        let roughness = Raster::new(camera.width, camera.height, roughness)?;
-        Ok(Surfaces { hits, albedo, roughness, irradiance, emission })
+    /// A sub-pixel's share of the samples, at least one.
+    fn sub_pixel_samples(&self) -> u32 {
+        self.sampling.samples.div_ceil((SUB_PIXELS * SUB_PIXELS) as u32)
     }
 
-    /// `channels` numbers per pixel of a texture of the given size.
-    fn look_up(&mut self, size: (usize, usize), texture: &[f32], channels: usize, seen: &mut Seen) -> Result<Vec<f32>> {
+    /// All textures at some pixels. Emission is looked up on the atlas itself: on the coarse levels of its pyramid, lamps
+    /// would shine into the charts beside theirs.
+    fn look_up_all(&mut self, seen: &Seen<'_>, textures: &Textures) -> Result<Values> {
+        let mut known = Vec::new();
+        let albedo = self.look_up_rgb(&textures.albedo, seen, &mut known)?;
+        let irradiance = self.look_up_rgb(&textures.irradiance, seen, &mut known)?;
+        let Raster { width, height, data } = &textures.roughness;
+        let roughness = self.look_up((*width, *height), data, 1, seen, &mut known)?;
+        let emission = &textures.emission;
+        let index = self.pyramid(emission.size())?;
+        let footprints = seen.bilinear(&self.pyramids[index], &self.scene.mesh);
+        let texels = bytemuck::cast_slice(&emission.data);
+        let emission = self.backend.lookup(&self.pyramids[index], texels, 3, &footprints)?.as_chunks::<3>().0.to_vec();
+        Ok(Values { albedo, roughness, irradiance, emission })
+    }
+
+    fn look_up_rgb(&mut self, texture: &Rgb, seen: &Seen<'_>, known: &mut Known) -> Result<Vec<[f32; 3]>> {
+        let values = self.look_up(texture.size(), bytemuck::cast_slice(&texture.data), 3, seen, known)?;
+        Ok(values.as_chunks::<3>().0.to_vec())
+    }
+
+    /// `channels` numbers per pixel of a texture of the given size, trilinear.
+    fn look_up(
+        &mut self,
+        size: (usize, usize),
+        texture: &[f32],
+        channels: usize,
+        seen: &Seen<'_>,
+        known: &mut Known,
+    ) -> Result<Vec<f32>> {
         let index = self.pyramid(size)?;
         let pyramid = &self.pyramids[index];
-        let footprints = seen.footprints(index, pyramid, &self.scene.mesh);
-        self.backend.lookup(pyramid, texture, channels, footprints)
+        let at = known.iter().position(|(of, _)| *of == index).unwrap_or_else(|| {
+            known.push((index, seen.trilinear(pyramid, &self.scene.mesh)));
+            known.len() - 1
+        });
+        self.backend.lookup(pyramid, texture, channels, &known[at].1)
     }
 
     /// Index of the atlas's pyramid at a size, made at its first use.
@@ -151,22 +185,44 @@ impl<'a> Renderer<'a> {
     }
 }
 
-/// What a view's sub-pixels hit, and its footprints by pyramid as they are asked for.
-struct Seen {
-    fine: Camera,
-    factor: usize,
-    hits: Vec<Hit>,
-    footprints: Vec<(usize, Footprints)>,
+/// Trilinear footprints by pyramid, so that textures of one size share theirs.
+type Known = Vec<(usize, Footprints)>;
+
+/// Pixels of a view, and what the view hits.
+struct Seen<'a> {
+    camera: &'a Camera,
+    hits: &'a [Hit],
+    pixels: &'a [u32],
 }
 
-impl Seen {
-    fn footprints(&mut self, index: usize, pyramid: &Pyramid, mesh: &Mesh) -> &Footprints {
-        let known = self.footprints.iter().position(|(of, _)| *of == index).unwrap_or_else(|| {
-            let pixels: Vec<u32> = (0..(self.fine.pixels() / (self.factor * self.factor)) as u32).collect();
-            let made = Footprints::of_pixels(pyramid, mesh, &self.fine, self.factor, &self.hits, &pixels);
-            self.footprints.push((index, made));
-            self.footprints.len() - 1
-        });
-        &self.footprints[known].1
+impl Seen<'_> {
+    fn trilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
+        Footprints::of_pixels(pyramid, mesh, self.camera, 1, self.hits, self.pixels)
+    }
+
+    fn bilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
+        let taps = |&pixel: &u32| match &self.hits[pixel as usize] {
+            hit if hit.is_hit() => pyramid.bilinear(0, hit.uv(mesh)),
+            _ => Vec::new(),
+        };
+        Footprints::new(Rows::from_lists(self.pixels.iter().map(taps)))
+    }
+}
+
+/// Textures at some pixels.
+#[derive(Default)]
+struct Values {
+    albedo: Vec<[f32; 3]>,
+    roughness: Vec<f32>,
+    irradiance: Vec<[f32; 3]>,
+    emission: Vec<[f32; 3]>,
+}
+
+impl Values {
+    fn append(&mut self, mut other: Self) {
+        self.albedo.append(&mut other.albedo);
+        self.roughness.append(&mut other.roughness);
+        self.irradiance.append(&mut other.irradiance);
+        self.emission.append(&mut other.emission);
     }
 }

@@ -75,7 +75,7 @@ impl Pyramid {
     }
 
     /// Bilinear taps at `uv` on one level: up to four `(texel, weight)`, valid texels only, weights summing to 1 (or none).
-    fn bilinear(&self, level: usize, uv: Vec2) -> Vec<Tap> {
+    pub fn bilinear(&self, level: usize, uv: Vec2) -> Vec<Tap> {
         let l = self.levels[level];
         let p = uv * Vec2::new(l.width as f32, l.height as f32) - 0.5;
         let base = p.floor();
