@@ -98,7 +98,7 @@ impl Bake {
             let scene = Scene::new(capture.mesh.clone())?;
             let light = match capture.tbl.take() {
                 Some(tbl) => Light::Texture(tbl.radiance),
-                None => Light::Views(capture),
+                None => Light::Views(Box::new(capture)),
             };
             return Ok((scene, light));
         }
@@ -118,5 +118,5 @@ enum Light {
     /// A given HDR texture.
     Texture(Rgb),
     /// The HDR texture is to be built from the views.
-    Views(capture::Capture),
+    Views(Box<capture::Capture>),
 }
