@@ -13,7 +13,7 @@ pub struct FitSettings {
     pub seed: u32,
     /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size.
     pub atlas_size: usize,
-    /// Cosine-distributed rays per texel of the irradiance bake.
+    /// Rays per texel of the irradiance bake, half of them to the light sources.
     pub irradiance_samples: u32,
     /// Specular samples per pixel and step.
     pub specular_samples: u32,
@@ -64,7 +64,8 @@ pub struct ParameterSettings {
     pub albedo_start: f32,
     /// Initial roughness.
     pub roughness_start: f32,
-    /// Smallest and largest albedo.
+    /// Smallest and largest albedo. The paper has no upper bound; without one, a few texels whose irradiance is
+    /// underestimated grow without limit.
     pub albedo_range: [f32; 2],
     /// Smallest and largest roughness.
     pub roughness_range: [f32; 2],
@@ -107,9 +108,9 @@ impl Default for FitSettings {
         Self {
             seed: 0,
             atlas_size: 0,
-            irradiance_samples: 512,
+            irradiance_samples: 256,
             specular_samples: 16,
-            emitter_ratio: 2.0,
+            emitter_ratio: 3.0,
             gradient: RoughnessGradient::Exact,
             footprint_samples: 2,
             optimiser: OptimiserSettings::default(),
@@ -129,12 +130,7 @@ impl Default for OptimiserSettings {
 
 impl Default for ParameterSettings {
     fn default() -> Self {
-        Self {
-            albedo_start: 0.5,
-            roughness_start: 0.1,
-            albedo_range: [0.0, f32::INFINITY],
-            roughness_range: [0.01, 0.8],
-        }
+        Self { albedo_start: 0.5, roughness_start: 0.1, albedo_range: [0.0, 1.0], roughness_range: [0.01, 0.8] }
     }
 }
 
