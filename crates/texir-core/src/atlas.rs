@@ -1,7 +1,10 @@
 //! The atlas as surface points: which texels hold a piece of the mesh, and where in the world they are.
 
+use rayon::prelude::*;
+
 use crate::backend::Backend;
 use crate::error::{Error, Result};
+use crate::mesh::Mesh;
 use crate::raster::Raster;
 use crate::scene::Scene;
 use crate::surface::{Hit, SurfacePoint};
@@ -53,6 +56,22 @@ impl Atlas {
     /// The mip pyramid over the valid texels.
     pub fn pyramid(&self) -> Pyramid {
         Pyramid::new(self.width, self.height, &self.valid())
+    }
+
+    /// Area on the surface, m², of a texel on `triangle`; 0 for a triangle without area in the atlas.
+    pub fn texel_area(&self, mesh: &Mesh, triangle: u32) -> f32 {
+        let [a, b, c] = mesh.corners(triangle);
+        let [ua, ub, uc] = mesh.corner_uvs(triangle);
+        let world = (b - a).cross(c - a).length();
+        let texels = (ub - ua).perp_dot(uc - ua).abs() * (self.width * self.height) as f32;
+        if texels > 0.0 { world / texels } else { 0.0 }
+    }
+
+    /// Edge of the median texel on the surface, metres.
+    pub fn typical_texel(&self, mesh: &Mesh) -> f32 {
+        let mut areas: Vec<f32> = self.points.par_iter().map(|p| self.texel_area(mesh, p.triangle)).collect();
+        let middle = areas.len() / 2;
+        areas.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
     }
 
     /// Puts one value per valid texel into the atlas, `empty` elsewhere.

@@ -15,6 +15,7 @@ pub mod eval;
 pub mod fit;
 pub mod glb;
 pub mod image_io;
+mod inpaint;
 pub mod lights;
 pub mod mesh;
 pub mod mesh_io;

@@ -16,16 +16,18 @@ use crate::backend::{Backend, Gather};
 use crate::bake;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::error::{Error, Result};
+use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::rooms::{self, FloorPlan, RoomOptions};
 use crate::scene::Scene;
 use crate::tbl::{self, TblOptions};
+use crate::texture::Pyramid;
 pub use settings::FitSettings;
 pub use stages::{EpochLog, Stage};
 use stages::{Optimisation, Textures};
-use views::Surroundings;
+use views::{FitView, Surroundings};
 
 /// What a fit yields, all in the same atlas.
 #[derive(Clone, Debug)]
@@ -118,17 +120,40 @@ pub fn fit(
     let mut stage_log = |entry: &EpochLog| log(entry);
     Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log: &mut stage_log, started }
         .run(&mut textures)?;
+    let (albedo, roughness) = complete(backend, scene, &atlas, &pyramid, &views, &textures)?;
     timings.mark("stages I to III");
 
-    Ok(FitResult {
-        albedo: Raster::new(size.0, size.1, textures.albedo.as_chunks::<3>().0.to_vec())?,
-        roughness: Raster::new(size.0, size.1, textures.roughness)?,
-        irradiance,
-        emission,
-        tbl,
-        plan,
-        timings: timings.entries,
-    })
+    Ok(FitResult { albedo, roughness, irradiance, emission, tbl, plan, timings: timings.entries })
+}
+
+/// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep the
+/// values that the fit started from.
+fn complete(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    atlas: &Atlas,
+    pyramid: &Pyramid,
+    views: &[FitView],
+    textures: &Textures,
+) -> Result<(Rgb, Gray)> {
+    let mut seen = vec![false; atlas.width * atlas.height];
+    for view in views {
+        let weight = backend.lookup_vjp(pyramid, &vec![1.0; view.points.len()], 1, &view.footprints)?;
+        seen.iter_mut().zip(weight).for_each(|(seen, weight)| *seen |= weight > 0.0);
+    }
+    let known = |value: &dyn Fn(usize) -> [f32; 3]| -> Vec<Option<[f32; 3]>> {
+        atlas.texels.iter().map(|&t| seen[t as usize].then(|| value(t as usize))).collect()
+    };
+    let texel = atlas.typical_texel(&scene.mesh);
+    let albedo = known(&|t| textures.albedo.as_chunks::<3>().0[t]);
+    let albedo = inpaint::fill(&atlas.points, &albedo, texel);
+    let roughness = known(&|t| [textures.roughness[t]; 3]);
+    let roughness: Vec<f32> = inpaint::fill(&atlas.points, &roughness, texel).iter().map(|r| r[0]).collect();
+    let all = vec![true; atlas.texels.len()];
+    Ok((
+        atlas.scatter_padded(&albedo, &all, [0.0; 3], bake::PADDING),
+        atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
+    ))
 }
 
 /// Atlas side when neither the settings nor an HDR texture say.

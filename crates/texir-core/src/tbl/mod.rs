@@ -2,11 +2,10 @@
 //!
 //! Each texel's surface point is projected into every view, tested for visibility, sampled ([`sample`]) and blended
 //! robustly over the views ([`blend`]); texels that no view sees are filled from their neighbourhood in space
-//! ([`inpaint`]) and flagged. Pixels masked out of the fit are used all the same: emitters are masked, and they are the
+//! ([`crate::inpaint`]) and flagged. Pixels masked out of the fit are used all the same: emitters are masked, and they are the
 //! light. Views are read one at a time; memory is bounded by the atlas and a band of it.
 
 mod blend;
-mod inpaint;
 mod sample;
 
 use rayon::prelude::*;
@@ -17,7 +16,7 @@ use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::inpaint;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::scene::Scene;
@@ -105,7 +104,7 @@ fn fuse(
             let projected = backend.project(points, camera)?;
             let sampler = Sampler::new(backend, &scene.mesh, camera, &image, options)?;
             best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
-                if let Some(observation) = sampler.observe(point, at, texel_area(&scene.mesh, point.triangle, size)) {
+                if let Some(observation) = sampler.observe(point, at, atlas.texel_area(&scene.mesh, point.triangle)) {
                     best.add(observation);
                 }
             });
@@ -121,29 +120,12 @@ fn fuse(
             cameras.len()
         )));
     }
-    let radiance = inpaint::fill(&atlas.points, &blended, typical_texel(scene, &atlas));
+    let radiance = inpaint::fill(&atlas.points, &blended, atlas.typical_texel(&scene.mesh));
     let coverage = blended.iter().map(|b| b.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
     Ok(Tbl {
         radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
         coverage: atlas.scatter(&coverage, Coverage::Outside),
     })
-}
-
-/// Area on the surface of a texel of a `size` atlas, m².
-fn texel_area(mesh: &Mesh, triangle: u32, size: (usize, usize)) -> f32 {
-    let [a, b, c] = mesh.corners(triangle);
-    let [ua, ub, uc] = mesh.corner_uvs(triangle);
-    let world = (b - a).cross(c - a).length();
-    let texels = (ub - ua).perp_dot(uc - ua).abs() * (size.0 * size.1) as f32;
-    if texels > 0.0 { world / texels } else { 0.0 }
-}
-
-/// Edge of the median texel on the surface, metres.
-fn typical_texel(scene: &Scene, atlas: &Atlas) -> f32 {
-    let size = (atlas.width, atlas.height);
-    let mut areas: Vec<f32> = atlas.points.par_iter().map(|p| texel_area(&scene.mesh, p.triangle, size)).collect();
-    let middle = areas.len() / 2;
-    areas.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
 }
 
 #[cfg(test)]

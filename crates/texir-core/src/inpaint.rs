@@ -1,4 +1,4 @@
-//! Radiance for texels that no view sees, from texels nearby in space that face the same way.
+//! Values for texels that no view sees (radiance, albedo, roughness), from texels nearby in space that face the same way.
 //!
 //! Seen texels are averaged in cells of a sparse grid, apart for each of six facing directions, at doubling cell sizes. An
 //! unseen texel takes the finest level on which cells around it know anything. Averages are geometric, and only the finest
@@ -23,9 +23,9 @@ const SOURCE: f32 = 8.0;
 /// Keeps the logarithm of black finite; far below any radiance that matters.
 const BLACK: f32 = 1e-6;
 
-/// The radiance of all points, where `known` has it as it is; black if nothing is known at all. `texel` is the edge of a
+/// The values of all points, non-negative, where `known` has them as they are; black if nothing is known at all. `texel` is the edge of a
 /// typical texel, metres.
-pub(super) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
+pub(crate) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
     let limit = SOURCE * median_of_means(known);
     let seen = points.iter().zip(known).filter_map(|(p, k)| Some((p, (*k)?)));
     let grid = Grid::new(seen, texel, limit);
