@@ -64,7 +64,7 @@ impl Bake {
         let radiance = match given {
             Light::Texture(radiance) => radiance,
             Light::Views(capture) => {
-                let size = self.size.unwrap_or(tbl::DEFAULT_SIZE);
+                let size = self.size.unwrap_or(texir_core::tbl::DEFAULT_SIZE);
                 tbl::build(backend.as_mut(), &scene, &capture, size, session)?.radiance
             }
         };

@@ -8,7 +8,7 @@ use texir_core::capture::{self, LoadOptions};
 use texir_core::demo::{self, Flat, FlatOptions, RenderOptions, ShotOptions};
 use texir_core::outputs::{REPORT, SCENE, Staging};
 
-use super::{Session, eval, fit, report};
+use super::{Session, fit, report};
 use crate::failure::Failure;
 use crate::figures;
 
@@ -17,6 +17,18 @@ const CAPTURE: &str = "capture";
 
 /// Folder of the fit within the demo's.
 const FIT: &str = "fit";
+
+/// Side of the atlas: at the distances of a room, a texel of it is about as large as a pixel of the panoramas.
+const ATLAS: usize = 512;
+
+/// Panoramas the fit sees: with these the whole demo takes a few minutes on two cores.
+const TRAIN: usize = 9;
+
+/// Panoramas held out.
+const NOVEL: usize = 3;
+
+/// Specular samples per pixel of the evaluation: a quarter of the protocol's, which is enough to look at.
+const SAMPLES: u32 = 64;
 
 /// Arguments of `texir demo`.
 #[derive(Debug, Args)]
@@ -34,10 +46,15 @@ impl Demo {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
         let staging = Staging::new(&out)?;
+        let mut config = session.config.clone();
+        if config.fit.atlas_size == 0 {
+            config.fit.atlas_size = ATLAS;
+        }
+        let session = &Session { config: &config, ..*session };
         self.make(&folder, session)?;
         let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
         let output = fit::write(staging, &capture, session)?;
-        let evaluation = report::publish(&out, &output, &capture, eval::SAMPLES, session)?;
+        let evaluation = report::publish(&out, &output, &capture, SAMPLES, session)?;
         session.print(&evaluation, || {
             let line = |what: &str, path: PathBuf| format!("{what:<12}{}", path.display());
             [
@@ -55,8 +72,8 @@ impl Demo {
     /// Generates and renders the flat, and puts the capture in place of an earlier one once it is whole.
     fn make(&self, folder: &Path, session: &Session<'_>) -> Result<(), Failure> {
         let seed = u64::from(session.config.fit.seed) + 1;
-        let flat = Flat::generate(&FlatOptions { seed, rooms: self.rooms, ..FlatOptions::default() })?;
-        let shots = demo::shots(&flat, &ShotOptions { seed, ..ShotOptions::default() })?;
+        let flat = Flat::generate(&FlatOptions { seed, rooms: self.rooms, atlas: ATLAS, ..FlatOptions::default() })?;
+        let shots = demo::shots(&flat, &ShotOptions { seed, train: TRAIN, novel: NOVEL, ..ShotOptions::default() })?;
         let options = RenderOptions { seed, ..RenderOptions::default() };
         let rendered = demo::render(&flat, &shots, &options, session.console)?;
         let failed = |e: std::io::Error| Failure::new(format!("{}: cannot be written: {e}", folder.display()));

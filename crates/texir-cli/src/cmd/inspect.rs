@@ -13,7 +13,7 @@ use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
 use texir_core::scene::Scene;
 
-use super::{CaptureArgs, Session, tbl};
+use super::{CaptureArgs, Session};
 use crate::console::count;
 use crate::failure::Failure;
 
@@ -120,7 +120,7 @@ fn inspect(capture: &Capture, settings: &FitSettings) -> Result<Findings, Failur
     let mesh = &capture.mesh;
     let size = match (settings.atlas_size, &capture.tbl) {
         (0, Some(tbl)) => tbl.radiance.width,
-        (0, None) => tbl::DEFAULT_SIZE,
+        (0, None) => texir_core::tbl::DEFAULT_SIZE,
         (size, _) => size,
     };
     let area = area(mesh);

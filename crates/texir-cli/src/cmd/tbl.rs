@@ -13,9 +13,6 @@ use super::{CaptureArgs, Session};
 use crate::device;
 use crate::failure::Failure;
 
-/// Side of the atlas when nothing says otherwise, texels.
-pub const DEFAULT_SIZE: usize = 1024;
-
 /// Arguments of `texir tbl`.
 #[derive(Debug, Args)]
 pub struct Tbl {
@@ -25,7 +22,7 @@ pub struct Tbl {
     #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
     output: PathBuf,
     /// Side of the texture, texels
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_SIZE)]
+    #[arg(long, value_name = "N", default_value_t = tbl::DEFAULT_SIZE)]
     size: usize,
 }
 

@@ -64,7 +64,7 @@ pub fn fit(
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
     let size = match (settings.atlas_size, &capture.tbl) {
         (0, Some(tbl)) => tbl.radiance.size(),
-        (0, None) => (DEFAULT_ATLAS, DEFAULT_ATLAS),
+        (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
         (size, _) => (size, size),
     };
     let tbl = match &capture.tbl {
@@ -155,9 +155,6 @@ fn complete(
         atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
     ))
 }
-
-/// Atlas side when neither the settings nor an HDR texture say.
-const DEFAULT_ATLAS: usize = 1024;
 
 /// Light sources: texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
 /// that stand out from the scene, L > ratio · mean L; in luminance (Rec. 709).

@@ -23,6 +23,9 @@ use crate::scene::Scene;
 use blend::Best;
 use sample::Sampler;
 
+/// Side of the atlas, texels, when nobody says.
+pub const DEFAULT_SIZE: usize = 1024;
+
 /// How views are joined into a TBL.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
