@@ -1,5 +1,6 @@
 //! The command line's arguments. `--config` gives defaults; what is typed wins.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, ValueEnum};
@@ -89,11 +90,13 @@ impl Config {
             })?;
             merge(&mut table, change);
         }
-        let file: Self = table.try_into().map_err(|e| {
+        let wrong = |what: &dyn Display| {
             let from = common.config.as_ref().map_or("--set".to_owned(), |path| path.display().to_string());
-            Failure::new(format!("{from}: {e}"))
+            Failure::new(format!("{from}: {what}"))
                 .help("every fit writes its settings to settings.toml, which is a complete example")
-        })?;
+        };
+        let file: Self = table.try_into().map_err(|e| wrong(&e))?;
+        file.fit.validate().map_err(|e| wrong(&e))?;
         let seed = common.seed.unwrap_or(file.fit.seed);
         let config = Self {
             backend: common.backend.unwrap_or(file.backend),

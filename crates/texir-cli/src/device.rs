@@ -20,9 +20,12 @@ pub fn open<'a>(scene: &'a Scene, config: &Config, console: &Console) -> Result<
 }
 
 fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> {
+    if config.backend == BackendChoice::Cpu {
+        // Not even asked: loading a graphics driver takes time, and some of them talk.
+        return Ok(None);
+    }
     let adapter = config.adapter.as_deref();
     match (config.backend, Gpu::headless(adapter)) {
-        (BackendChoice::Cpu, _) => Ok(None),
         (_, Ok(gpu)) => Ok(Some(gpu)),
         (BackendChoice::Auto, Err(error)) if adapter.is_none() => {
             console.detail(&error.to_string());

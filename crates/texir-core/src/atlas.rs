@@ -28,6 +28,9 @@ pub struct Atlas {
 impl Atlas {
     /// Maps every texel to the mesh. Errors when no texel is covered.
     pub fn new(backend: &mut dyn Backend, scene: &Scene, width: usize, height: usize) -> Result<Self> {
+        if width == 0 || height == 0 {
+            return Err(Error::invalid(format!("the atlas is {width}×{height} texels; expected at least 1×1")));
+        }
         let hits = backend.texels(width, height)?;
         let covered = || hits.iter().enumerate().filter(|(_, h)| h.is_hit());
         let atlas = Self {

@@ -28,7 +28,7 @@ pub struct Eval {
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
     /// Specular samples per pixel
-    #[arg(long, default_value_t = SAMPLES, value_name = "N")]
+    #[arg(long, default_value_t = SAMPLES, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
 }
 

@@ -28,7 +28,7 @@ pub struct Render {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Specular samples per pixel
-    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N")]
+    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
     /// Brightness of the previews, in stops
     #[arg(long, default_value_t = 0.0, value_name = "EV", allow_negative_numbers = true)]

@@ -23,7 +23,7 @@ pub struct Report {
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
     /// Specular samples per pixel
-    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N")]
+    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
 }
 

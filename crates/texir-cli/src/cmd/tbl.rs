@@ -39,6 +39,9 @@ struct Summary {
 impl Tbl {
     /// Builds and writes the texture.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        if self.size == 0 {
+            return Err(Failure::new("--size is 0; it must be at least 1"));
+        }
         let capture = self.capture.load(session)?;
         let scene = Scene::new(capture.mesh.clone())?;
         let mut backend = device::open(&scene, session.config, session.console)?;

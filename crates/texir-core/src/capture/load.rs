@@ -1,8 +1,9 @@
-//! Finds the parts of a capture folder, reads what fits in memory, and checks the rest by its headers.
+//! Finds the parts of a capture folder, reads what fits in memory, and checks that the rest is whole.
 
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::{Capture, LoadOptions, Split, Tbl, Truth, View, nerfstudio};
 use crate::error::{Error, Result};
@@ -19,7 +20,8 @@ const ATLAS_CHECK_SIZE: usize = 1024;
 const TOLERATED_OVERLAP: f64 = 0.01;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
-/// `roughness_tex.exr`, `emission_tex.exr` where they exist. Views stay on disk; their headers are read.
+/// `roughness_tex.exr`, `emission_tex.exr` where they exist. Views stay on disk; their files are checked to be there, whole
+/// and of the right size.
 ///
 /// What can be worked with is warned about; what cannot is an error that names the file and the field.
 pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Progress) -> Result<Capture> {
@@ -34,10 +36,14 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
             format!("split: none of the {} views is for training; expected at least one \"train\"", views.len()),
         ));
     }
-    for view in &views {
+    progress.start("checking files", views.len() as u64, "views");
+    views.par_iter().try_for_each(|view| {
         progress.check()?;
         view.check_files()?;
-    }
+        progress.advance(1);
+        Ok(())
+    })?;
+    progress.finish();
     check_light(&root, &views, progress)?;
 
     let mesh_path = match &options.mesh {

@@ -283,7 +283,15 @@ fn missing_truncated_and_wrongly_sized_images_are_errors() {
 }
 
 #[test]
-fn pixels_cut_off_behind_a_good_header_are_found_when_read() {
+fn pixels_cut_off_behind_a_good_header_are_found_before_any_work_and_when_read() {
+    for file in ["hdr/view_1.exr", "roughness/view_2.exr", "semantic/view_0.png", "mask/view_2.png"] {
+        let folder = capture();
+        let path = folder.path().join(file);
+        let bytes = std::fs::read(&path).unwrap();
+        // A PNG ends in a 12-byte chunk without pixels.
+        std::fs::write(&path, &bytes[..bytes.len() - if file.ends_with("png") { 16 } else { 4 }]).unwrap();
+        assert_says(&message(&folder), &[file, "cut short", "copy or export it again"]);
+    }
     let folder = capture();
     let capture = load_warned(&folder).0.unwrap();
     let path = &capture.views[1].image;

@@ -57,7 +57,8 @@ impl View {
         std::iter::once(("file_path", self.image.as_path())).chain(present)
     }
 
-    /// Reads the headers of all files and compares their sizes with the camera's.
+    /// Compares the sizes of all files with the camera's, and checks that the files are whole: a fit comes to some of them
+    /// only after its longest steps.
     pub(super) fn check_files(&self) -> Result<()> {
         for (field, path) in self.files() {
             if !path.is_file() {
@@ -67,6 +68,7 @@ impl View {
                 ));
             }
             self.check_size(field, path, image_io::read_size(path)?)?;
+            image_io::check_whole(path)?;
         }
         Ok(())
     }

@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 use crate::backend::RoughnessGradient;
 use crate::error::{Error, Result};
 
+/// Largest side of the atlas, texels: beyond it, no graphics card holds the texture.
+const MAX_ATLAS: usize = 16_384;
+
 /// Settings of the fit in paper mode; the defaults are the paper's where it states them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -157,7 +160,10 @@ impl FitSettings {
     pub fn validate(&self) -> Result<()> {
         let p = &self.parameters;
         let o = &self.optimiser;
-        let checks: [(&str, f32, bool, &str); 13] = [
+        let not_negative = |weight: f32| weight >= 0.0 && weight.is_finite();
+        let within = |value: f32, range: [f32; 2]| value >= range[0] && value <= range[1];
+        let checks: [(&str, f32, bool, &str); 21] = [
+            ("atlas_size", self.atlas_size as f32, self.atlas_size <= MAX_ATLAS, "at most 16384"),
             ("irradiance_samples", self.irradiance_samples as f32, self.irradiance_samples > 0, "at least 1"),
             ("specular_samples", self.specular_samples as f32, self.specular_samples > 0, "at least 1"),
             ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),
@@ -168,12 +174,49 @@ impl FitSettings {
             ("optimiser.beta1", o.beta1, (0.0..1.0).contains(&o.beta1), "in [0, 1)"),
             ("optimiser.beta2", o.beta2, (0.0..1.0).contains(&o.beta2), "in [0, 1)"),
             ("optimiser.epsilon", o.epsilon, o.epsilon > 0.0, "above 0"),
+            ("parameters.albedo_range[0]", p.albedo_range[0], not_negative(p.albedo_range[0]), "at least 0"),
+            (
+                "parameters.albedo_range[1]",
+                p.albedo_range[1],
+                p.albedo_range[1] > p.albedo_range[0],
+                "above the lower bound",
+            ),
+            (
+                "parameters.albedo_start",
+                p.albedo_start,
+                within(p.albedo_start, p.albedo_range),
+                "within parameters.albedo_range",
+            ),
             ("parameters.roughness_range[0]", p.roughness_range[0], p.roughness_range[0] >= 0.005, "at least 0.005"),
             (
                 "parameters.roughness_range[1]",
                 p.roughness_range[1],
                 p.roughness_range[1] > p.roughness_range[0] && p.roughness_range[1] <= 1.0,
                 "above the lower bound, at most 1",
+            ),
+            (
+                "parameters.roughness_start",
+                p.roughness_start,
+                within(p.roughness_start, p.roughness_range),
+                "within parameters.roughness_range",
+            ),
+            (
+                "stage_one.semantic_weight",
+                self.stage_one.semantic_weight,
+                not_negative(self.stage_one.semantic_weight),
+                "at least 0",
+            ),
+            (
+                "stage_two.propagation_weight",
+                self.stage_two.propagation_weight,
+                not_negative(self.stage_two.propagation_weight),
+                "at least 0",
+            ),
+            (
+                "stage_three.smoothness_weight",
+                self.stage_three.smoothness_weight,
+                not_negative(self.stage_three.smoothness_weight),
+                "at least 0",
             ),
             (
                 "stage_two.quantile",

@@ -222,7 +222,7 @@ impl<'a> Optimisation<'a> {
         let mut albedo = Adam::new(optimiser, textures.albedo.len());
         let mut roughness = Adam::new(optimiser, textures.roughness.len());
         let views = self.views.len() as u32;
-        self.progress.start(&format!("stage {stage:?}"), u64::from(optimiser.epochs * views), "steps");
+        self.progress.start(&format!("stage {stage:?}"), u64::from(optimiser.epochs) * u64::from(views), "steps");
         for epoch in 0..optimiser.epochs {
             let learning_rate = optimiser.learning_rate * optimiser.decay.powi((epoch / optimiser.decay_epochs) as i32);
             let epoch_seed = hash2(hash2(self.settings.seed, stage as u32), epoch);

@@ -1,5 +1,7 @@
 //! OpenEXR: any layer layout in, one flat layer of ZIP-compressed 32-bit floats out.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::Path;
 
 use exr::prelude::{
@@ -22,6 +24,13 @@ pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
         Some(header) => Ok(header.shared_attributes.display_window.size.into()),
         None => Err(Error::file(path, "has no layer; expected an image")),
     }
+}
+
+/// Walks all blocks of compressed pixels; says what is wrong with the first that is not there.
+pub(super) fn check_whole(path: &Path) -> std::result::Result<(), String> {
+    let file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
+    let blocks = exr::block::read(file, false).and_then(|reader| reader.all_chunks(false));
+    blocks.and_then(|mut blocks| blocks.try_for_each(|block| block.map(drop))).map_err(|e| e.to_string())
 }
 
 pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {

@@ -83,6 +83,22 @@ pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
     Ok((width, height))
 }
 
+/// Errors when the file ends before its pixels do, as after an interrupted copy. OpenEXR is read without decompressing it:
+/// looking through a whole capture costs little more than reading it from the disk.
+pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
+    let whole = match format_of(path)? {
+        Format::OpenExr => exr::check_whole(path),
+        _ => ImageReader::open(path)
+            .and_then(ImageReader::with_guessed_format)
+            .map_err(|e| cannot_read(path, e))?
+            .decode()
+            .map(drop)
+            .map_err(|e| e.to_string()),
+    };
+    whole.map_err(|e| Error::file(path, format!("is damaged or cut short ({e}); copy or export it again")))
+}
+
 /// Linear RGB: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone), Radiance HDR (divided by
 /// the exposure in its header, as the format asks), 32-bit float TIFF. 8-bit formats are refused: their encoding and
 /// their clipping are unknown.

@@ -1,0 +1,268 @@
+//! What every command makes of a good capture.
+
+use std::path::Path;
+
+use serde_json::Value;
+use texir_core::image_io::{read_gray, read_labels, read_rgb};
+use texir_core::raster::Rgb;
+
+use crate::room::{ATLAS, Capture, HEIGHT, VIEWS, WIDTH, names};
+use crate::texir::{fit, succeed};
+
+/// Everything that a fit with ground truth leaves behind.
+const FILES: [&str; 14] = [
+    "albedo.exr",
+    "emission.exr",
+    "hdr_texture.exr",
+    "hdr_texture_mask.png",
+    "irradiance.exr",
+    "log.jsonl",
+    "mesh.obj",
+    "metrics.json",
+    "report.html",
+    "roughness.exr",
+    "rooms.png",
+    "run.json",
+    "scene.glb",
+    "settings.toml",
+];
+
+fn sorted(mut names: Vec<&str>) -> Vec<&str> {
+    names.sort_unstable();
+    names
+}
+
+/// Reads an EXR of the atlas' size; its values are finite and not negative, and some are above 0.
+#[track_caller]
+fn assert_light(path: &Path, size: (usize, usize)) {
+    let image = read_rgb(path).unwrap();
+    assert_eq!(image.size(), size, "{}", path.display());
+    assert!(image.data.iter().flatten().all(|v| v.is_finite() && *v >= 0.0), "{}", path.display());
+    assert!(image.data.iter().flatten().any(|v| *v > 0.0), "{} is black", path.display());
+}
+
+fn json(text: &str) -> Value {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e} in {text}"))
+}
+
+/// Result and ceiling have all rows of the table, and true materials render better than anything else.
+#[track_caller]
+fn assert_metrics(metrics: &Value) {
+    for table in ["result", "ceiling"] {
+        for pointer in
+            ["train/albedo/per_image", "train/albedo/global", "train/roughness", "train/image", "novel/image"]
+        {
+            for figure in ["psnr", "ssim", "mse"] {
+                let value = metrics.pointer(&format!("/{table}/{pointer}/{figure}")).and_then(Value::as_f64);
+                assert!(value.is_some_and(f64::is_finite), "{table}/{pointer}/{figure} is {value:?}");
+            }
+        }
+    }
+    let psnr = |table: &str, of: &str| metrics.pointer(&format!("/{table}/train/{of}/psnr")).unwrap().as_f64().unwrap();
+    assert!(psnr("ceiling", "roughness") > psnr("result", "roughness"), "two epochs cannot find the truth");
+    assert!(psnr("ceiling", "image") > 20.0, "true materials render to {} dB", psnr("ceiling", "image"));
+    assert_eq!(metrics["views"].as_array().unwrap().len(), VIEWS.len());
+}
+
+#[test]
+fn inspect_says_what_is_there() {
+    let capture = Capture::new();
+    let said = succeed(&["inspect".as_ref(), capture.path().as_os_str(), "--json".as_ref()]);
+    let found = json(&said.out);
+    for (pointer, expected) in [
+        ("/mesh/triangles", 24),
+        ("/known/train", 3),
+        ("/known/novel", 1),
+        ("/known/semantic", 4),
+        ("/known/albedo", 4),
+        ("/views/0/width", WIDTH),
+        ("/atlas/outside_triangles", 0),
+    ] {
+        assert_eq!(found.pointer(pointer).and_then(Value::as_u64), Some(expected as u64), "{pointer} in {}", said.out);
+    }
+    assert_eq!(found["known"]["true_textures"], true);
+    assert_eq!(found["warnings"], serde_json::json!([]));
+    assert_eq!(capture.outputs(), [""; 0], "a dry run writes nothing");
+}
+
+#[test]
+fn fit_render_eval_and_report_on_the_cpu() {
+    let capture = Capture::new();
+    let out = capture.out("out");
+    let said = succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--json"]));
+    assert_eq!(names(&out), sorted(FILES.to_vec()));
+    assert_eq!(capture.outputs(), ["out"], "no staging folder stays");
+    assert_metrics(&json(&said.out));
+    assert_metrics(&json(&std::fs::read_to_string(out.join("metrics.json")).unwrap()));
+    assert_textures(&out);
+    assert_scene(&out.join("scene.glb"));
+    assert_log_and_settings(&out);
+    assert_self_contained(&out.join("report.html"));
+    assert_readable(&out);
+
+    render(&capture, &out);
+    let arguments = ["eval".as_ref(), out.as_os_str(), "--spp".as_ref(), "8".as_ref(), "--json".as_ref()];
+    let said = succeed(&[&arguments[..], &["--backend".as_ref(), "cpu".as_ref()]].concat());
+    assert_metrics(&json(&said.out));
+    assert_eq!(json(&said.out)["samples"], 8);
+    std::fs::remove_file(out.join("report.html")).unwrap();
+    let said = succeed(&["report".as_ref(), out.as_os_str(), "--spp".as_ref(), "8".as_ref(), "-q".as_ref()]);
+    assert!(said.out.contains("report.html") && said.out.contains("Novel views"), "{}", said.out);
+    assert_self_contained(&out.join("report.html"));
+}
+
+fn assert_textures(out: &Path) {
+    for name in ["albedo.exr", "irradiance.exr", "hdr_texture.exr", "emission.exr"] {
+        assert_light(&out.join(name), (ATLAS, ATLAS));
+    }
+    let roughness = read_gray(out.join("roughness.exr")).unwrap();
+    assert_eq!(roughness.size(), (ATLAS, ATLAS));
+    assert!(roughness.data.iter().all(|r| (0.0..=1.0).contains(r)));
+    let coverage = read_labels(out.join("hdr_texture_mask.png")).unwrap();
+    assert!([0, 255].iter().all(|level| coverage.data.contains(level)), "texels seen, and texels outside the charts");
+}
+
+/// The GLB in a loader that is not ours: three textures of the atlas' size, and a lamp.
+fn assert_scene(path: &Path) {
+    let (document, buffers, images) = gltf::import(path).unwrap();
+    assert!(document.extensions_used().any(|e| e == "KHR_materials_emissive_strength"));
+    let primitive = document.meshes().next().unwrap().primitives().next().unwrap();
+    let reader = primitive.reader(|buffer| Some(&buffers[buffer.index()].0));
+    assert_eq!(reader.read_indices().unwrap().into_u32().count(), 24 * 3);
+    assert!(reader.read_tex_coords(0).is_some() && reader.read_tex_coords(1).is_some());
+    let material = primitive.material();
+    let pbr = material.pbr_metallic_roughness();
+    assert_eq!((pbr.metallic_factor(), pbr.roughness_factor()), (0.0, 1.0));
+    assert!(material.emissive_strength().unwrap() > 1.0);
+    for (what, texture) in [
+        ("base colour", pbr.base_color_texture()),
+        ("metallic-roughness", pbr.metallic_roughness_texture()),
+        ("emission", material.emissive_texture()),
+    ] {
+        let image = &images[texture.unwrap().texture().source().index()];
+        assert_eq!((image.width, image.height), (ATLAS as u32, ATLAS as u32), "{what}");
+        assert!(image.pixels.iter().any(|byte| *byte > 0), "{what} is black");
+    }
+}
+
+/// Two epochs of each stage in the log, and settings from which the same fit can be run again.
+fn assert_log_and_settings(out: &Path) {
+    let log = std::fs::read_to_string(out.join("log.jsonl")).unwrap();
+    let stages: Vec<Value> = log.lines().map(|line| json(line)["stage"].clone()).collect();
+    assert_eq!(stages, ["I", "I", "II", "II", "III", "III"]);
+    let settings: toml::Table = std::fs::read_to_string(out.join("settings.toml")).unwrap().parse().unwrap();
+    assert_eq!(settings["fit"]["atlas_size"].as_integer(), Some(ATLAS as i64));
+    assert_eq!(settings["fit"]["optimiser"]["epochs"].as_integer(), Some(2));
+}
+
+/// One page that loads nothing.
+fn assert_self_contained(path: &Path) {
+    let page = std::fs::read_to_string(path).unwrap();
+    // The namespace of SVG is a name, which no browser fetches.
+    let page = page.replace("http://www.w3.org/", "");
+    for external in ["http://", "https://", "src=\"//", "@import", "<link"] {
+        assert!(!page.contains(external), "{external} in the report");
+    }
+    assert!(page.contains("data:image/png;base64,") && page.contains("<svg"));
+    for name in VIEWS {
+        assert!(page.contains(name), "view {name} is not in the report");
+    }
+}
+
+/// Outputs are as readable as any new file.
+fn assert_readable(out: &Path) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let ordinary = out.with_file_name("ordinary");
+        std::fs::write(&ordinary, "").unwrap();
+        for name in FILES {
+            assert_eq!(mode(&out.join(name)), mode(&ordinary), "{name}");
+        }
+        std::fs::remove_file(ordinary).unwrap();
+    }
+}
+
+fn render(capture: &Capture, out: &Path) {
+    let folder = capture.out("renders");
+    let cameras = capture.file("transforms.json");
+    succeed(&[
+        "render".as_ref(),
+        out.as_os_str(),
+        "--cameras".as_ref(),
+        cameras.as_os_str(),
+        "-o".as_ref(),
+        folder.as_os_str(),
+        "--spp".as_ref(),
+        "4".as_ref(),
+        "--backend".as_ref(),
+        "cpu".as_ref(),
+    ]);
+    for name in VIEWS {
+        assert_light(&folder.join(format!("{name}.exr")), (WIDTH, HEIGHT));
+        assert!(folder.join(format!("{name}.png")).is_file());
+    }
+    assert_eq!(names(&folder).len(), 2 * VIEWS.len());
+}
+
+#[test]
+fn tbl_and_bake_of_a_capture_and_of_a_mesh_agree_on_both_backends() {
+    let capture = Capture::new();
+    let (texture, mesh) = (capture.out("light.exr"), capture.file("mesh.obj"));
+    let input = capture.path();
+    succeed(&["tbl".as_ref(), input.as_os_str(), "-o".as_ref(), texture.as_os_str(), "--size".as_ref(), "64".as_ref()]);
+    assert_light(&texture, (ATLAS, ATLAS));
+    assert!(capture.out("light_mask.png").is_file());
+
+    let mut maps: Vec<Rgb> = Vec::new();
+    for (input, backend) in [(&input, "cpu"), (&mesh, "cpu"), (&mesh, "gpu")] {
+        let output = capture.out("irradiance.exr");
+        let with = ["--tbl".as_ref(), texture.as_os_str(), "-o".as_ref(), output.as_os_str()];
+        let how = ["--spp", "32", "--size", "32", "--backend", backend].map(AsRef::as_ref);
+        succeed(&[&["bake".as_ref(), input.as_os_str()], &with[..], &how[..]].concat());
+        assert_light(&output, (32, 32));
+        maps.push(read_rgb(&output).unwrap());
+        std::fs::remove_file(output).unwrap();
+    }
+    assert_eq!(maps[0], maps[1], "a mesh with a texture is what a capture with it is");
+    let close = |(a, b): (&[f32; 3], &[f32; 3])| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-3 * a.max(1e-3));
+    let agreeing = maps[1].data.iter().zip(&maps[2].data).filter(|&texels| close(texels)).count();
+    // Texels on an edge of the room lie in two walls at once: rounding decides which of them their rays meet.
+    assert!(agreeing * 100 >= 98 * maps[1].data.len(), "{agreeing} of {} texels agree", maps[1].data.len());
+}
+
+#[test]
+fn a_fit_on_the_gpu_takes_its_settings_from_a_file() {
+    let capture = Capture::new();
+    let (config, out, input) = (capture.out("quick.toml"), capture.out("out"), capture.path());
+    std::fs::write(
+        &config,
+        "backend = \"gpu\"\n[fit]\natlas_size = 64\nirradiance_samples = 32\nspecular_samples = 4\n\
+         [fit.optimiser]\nepochs = 1\n[fit.stage_two]\nenabled = false\n",
+    )
+    .unwrap();
+    let arguments = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str(), "--no-eval".as_ref()];
+    succeed(&[&arguments[..], &["--config".as_ref(), config.as_os_str()]].concat());
+    let left_out = ["metrics.json", "report.html"];
+    let expected: Vec<&str> = FILES.into_iter().filter(|name| !left_out.contains(name)).collect();
+    assert_eq!(names(&out), sorted(expected));
+    assert_textures(&out);
+    assert_scene(&out.join("scene.glb"));
+    let log = std::fs::read_to_string(out.join("log.jsonl")).unwrap();
+    assert_eq!(log.lines().map(|line| json(line)["stage"].clone()).collect::<Vec<_>>(), ["I", "III"]);
+}
+
+#[test]
+fn the_seed_decides_the_result() {
+    let capture = Capture::new();
+    let input = capture.path();
+    let albedo = |name: &str, seed: &str| {
+        let out = capture.out(name);
+        succeed(&fit(&input, &out, &["--backend", "cpu", "--no-eval", "--seed", seed]));
+        std::fs::read(out.join("albedo.exr")).unwrap()
+    };
+    let first = albedo("first", "7");
+    assert!(first == albedo("again", "7"), "the same seed gives the same bytes");
+    assert!(first != albedo("other", "8"), "another seed gives other samples");
+}
