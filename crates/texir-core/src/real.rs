@@ -208,7 +208,7 @@ impl<R: Real> V3<R> {
         self * (R::of(1.0) / self.dot(self).sqrt())
     }
     /// Component-wise product.
-    pub fn mul(self, o: Self) -> Self {
+    pub fn hadamard(self, o: Self) -> Self {
         Self(std::array::from_fn(|i| self.0[i] * o.0[i]))
     }
     /// Applies `f` to every component.

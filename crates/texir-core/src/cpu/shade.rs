@@ -107,11 +107,11 @@ pub fn shade<R: Real, T: Trace<R>>(
         bias = bias + light * s.fresnel;
         let fresnel = f0.map(|f| f * (one - s.fresnel) + s.fresnel);
         let d_fresnel = f0.map(|f| (one - f) * s.d_fresnel);
-        d_roughness = d_roughness + light.mul(fresnel * s.d_ln_weight + d_fresnel);
+        d_roughness = d_roughness + light.hadamard(fresnel * s.d_ln_weight + d_fresnel);
     }
     let share = one / R::of(f64::from(sampling.samples));
     let (scale, bias) = (scale * share, bias * share);
-    let diffuse = material.albedo.mul(V3::of(point.irradiance))
+    let diffuse = material.albedo.hadamard(V3::of(point.irradiance))
         * ((one - material.metallic) * R::of(std::f64::consts::FRAC_1_PI));
-    ShadedIn { radiance: diffuse + f0.mul(scale) + bias, specular_scale: scale, d_roughness: d_roughness * share }
+    ShadedIn { radiance: diffuse + f0.hadamard(scale) + bias, specular_scale: scale, d_roughness: d_roughness * share }
 }

@@ -17,8 +17,8 @@ pub fn shade_vjp<R: Real>(
     let scale = shaded.specular_scale;
     let tint = material.albedo.map(|a| a - R::of(DIELECTRIC_F0));
     MaterialIn {
-        albedo: d_radiance.mul(diffuse * (R::of(1.0) - material.metallic) + scale * material.metallic),
+        albedo: d_radiance.hadamard(diffuse * (R::of(1.0) - material.metallic) + scale * material.metallic),
         roughness: d_radiance.dot(shaded.d_roughness),
-        metallic: d_radiance.dot(tint.mul(scale) - material.albedo.mul(diffuse)),
+        metallic: d_radiance.dot(tint.hadamard(scale) - material.albedo.hadamard(diffuse)),
     }
 }

@@ -117,7 +117,7 @@ fn detached<R: Real>(light: &Lighting<'_, Exhaustive<'_>>, point: &ShadePoint, r
         let x = R::of(brdf::fresnel_weight(vh));
         let value = brdf::specular_over_fresnel(&moving, moved) * R::of(at.nl / brdf::pdf(&at, r) / 64.0);
         let incoming = light.incoming(V3::<f64>::of(point.position), l).map(R::of);
-        sum = sum + f0.map(|f| f * (R::of(1.0) - x) + x).mul(incoming) * value;
+        sum = sum + f0.map(|f| f * (R::of(1.0) - x) + x).hadamard(incoming) * value;
     }
     sum
 }

@@ -4,7 +4,7 @@
 use super::adam::Adam;
 use super::settings::FitSettings;
 use super::views::FitView;
-use crate::backend::{Backend, GroupTarget, Groups, Loss, Material, Sampling, ShadePoint};
+use crate::backend::{Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Sampling, ShadePoint};
 use crate::error::Result;
 use crate::progress::{Progress, Silent};
 use crate::rng::hash2;
@@ -128,10 +128,10 @@ impl<'a> Optimisation<'a> {
             let weight: Vec<f32> = view.highlights.iter().map(|h| view.weight[at(h)]).collect();
             let materials: Vec<Material> =
                 view.highlights.iter().zip(albedo).map(|(h, a)| Material::dielectric(*a, roughness[at(h)])).collect();
-            let (loss, gradient) = self.shaded_loss(&points, &materials, &target, &weight, seed)?;
-            image = loss;
-            for (h, (_, d)) in view.highlights.iter().zip(gradient) {
-                d_roughness[at(h)] = d;
+            let loss = self.shaded_loss(&points, &materials, &target, &weight, seed)?;
+            image = loss.value;
+            for (h, d) in view.highlights.iter().zip(loss.gradient) {
+                d_roughness[at(h)] = d.roughness;
             }
         }
         let smooth = self.smoothness(
@@ -151,9 +151,9 @@ impl<'a> Optimisation<'a> {
         let roughness = self.lookup(&textures.roughness, 1, view)?;
         let materials: Vec<Material> =
             albedo.as_chunks::<3>().0.iter().zip(&roughness).map(|(a, r)| Material::dielectric(*a, *r)).collect();
-        let (image, gradient) = self.shaded_loss(&view.points, &materials, &view.target, &view.weight, seed)?;
-        let d_albedo: Vec<f32> = gradient.iter().flat_map(|(a, _)| *a).collect();
-        let mut d_roughness: Vec<f32> = gradient.iter().map(|(_, r)| *r).collect();
+        let loss = self.shaded_loss(&view.points, &materials, &view.target, &view.weight, seed)?;
+        let d_albedo: Vec<f32> = loss.gradient.iter().flat_map(|d| d.albedo).collect();
+        let mut d_roughness: Vec<f32> = loss.gradient.iter().map(|d| d.roughness).collect();
         let smooth = self.smoothness(
             &roughness,
             (&view.by_class_and_room, GroupTarget::Mean),
@@ -161,7 +161,7 @@ impl<'a> Optimisation<'a> {
             &mut d_roughness,
         )?;
         Ok(Step {
-            image,
+            image: loss.value,
             smooth,
             d_albedo: Some(self.lookup_vjp(&d_albedo, 3, view)?),
             d_roughness: Some(self.lookup_vjp(&d_roughness, 1, view)?),
@@ -176,13 +176,13 @@ impl<'a> Optimisation<'a> {
         target: &[[f32; 3]],
         weight: &[f32],
         seed: u32,
-    ) -> Result<(f32, Vec<([f32; 3], f32)>)> {
+    ) -> Result<Loss<MaterialGrad>> {
         let sampling = Sampling { samples: self.settings.specular_samples, seed };
         let shaded = self.backend.shade(points, materials, sampling, self.settings.gradient, &Silent)?;
         let radiance: Vec<[f32; 3]> = shaded.iter().map(|s| s.radiance).collect();
         let loss = self.backend.radiance_loss(&radiance, target, weight)?;
-        let d_materials = self.backend.shade_vjp(points, materials, &shaded, &loss.gradient)?;
-        Ok((loss.value, d_materials.into_iter().map(|d| (d.albedo, d.roughness)).collect()))
+        let gradient = self.backend.shade_vjp(points, materials, &shaded, &loss.gradient)?;
+        Ok(Loss { value: loss.value, gradient })
     }
 
     /// `weight` times a group loss; its gradient is added to `d_values`.

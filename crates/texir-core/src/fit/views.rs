@@ -120,9 +120,9 @@ impl Surroundings<'_> {
             name: view.name.clone(),
             target: used.iter().map(|&i| image.data[i as usize]).collect(),
             weight: vec![1.0; used.len()],
-            by_class: group(points.len(), class_of, &none),
-            by_class_highlights: group(points.len(), class_of, &is_highlight),
-            by_class_and_room: group(points.len(), |i| (class_of(i), room_of(i)), &none),
+            by_class: group(class_of, &none),
+            by_class_highlights: group(class_of, &is_highlight),
+            by_class_and_room: group(|i| (class_of(i), room_of(i)), &none),
             points,
             footprints,
             highlights,
@@ -146,12 +146,12 @@ impl Surroundings<'_> {
 }
 
 /// Groups items by key, in key order; members flagged `first` lead their group.
-fn group<K: Ord>(items: usize, key: impl Fn(usize) -> K, first: &[bool]) -> Groups {
+fn group<K: Ord>(key: impl Fn(usize) -> K, first: &[bool]) -> Groups {
     let mut lists: BTreeMap<K, [Vec<u32>; 2]> = BTreeMap::new();
-    for i in 0..items {
-        lists.entry(key(i)).or_default()[usize::from(!first[i])].push(i as u32);
+    for (i, first) in first.iter().enumerate() {
+        lists.entry(key(i)).or_default()[usize::from(!first)].push(i as u32);
     }
-    let mut groups = Groups { offsets: vec![0], members: Vec::with_capacity(items), references: Vec::new() };
+    let mut groups = Groups { offsets: vec![0], members: Vec::with_capacity(first.len()), references: Vec::new() };
     for [references, others] in lists.into_values() {
         groups.references.push(references.len() as u32);
         groups.members.extend(references);
