@@ -229,11 +229,8 @@ fn known(capture: &Capture) -> Known {
 
 fn estimate(capture: &Capture, settings: &FitSettings, size: usize, covered_texels: f64) -> Estimate {
     let pixels: u64 = capture.views(Split::Train).map(|v| v.camera.pixels() as u64).sum();
-    let per_epoch = pixels * u64::from(settings.specular_samples);
-    let epochs = [settings.stage_two.enabled, settings.stage_three.enabled]
-        .iter()
-        .map(|&enabled| u64::from(enabled) * u64::from(settings.optimiser.epochs))
-        .sum::<u64>();
+    // Stage I traces nothing, stage II only the few pixels that could show a highlight.
+    let stage_three = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
     // Seven textures of four channels (parameters, gradients, two Adam moments, TBL, irradiance, emission) with their mips,
     // the sub-pixel footprints of every training pixel (about 12 taps of 8 bytes, with their transpose), the hierarchy.
     let texels = (size * size) as u64;
@@ -241,7 +238,7 @@ fn estimate(capture: &Capture, settings: &FitSettings, size: usize, covered_texe
     let memory = texels * 7 * 16 * 4 / 3 + pixels * sub_pixels * 12 * 16 + capture.mesh.triangles.len() as u64 * 300;
     Estimate {
         bake_rays: (covered_texels * f64::from(settings.irradiance_samples)) as u64,
-        fit_rays: per_epoch * epochs,
+        fit_rays: pixels * u64::from(settings.specular_samples) * stage_three,
         memory,
     }
 }
