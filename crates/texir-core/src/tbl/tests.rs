@@ -5,6 +5,7 @@ use glam::{Mat4, Vec2, Vec3};
 use super::*;
 use crate::camera::Projection;
 use crate::cpu::CpuBackend;
+use crate::mesh::Mesh;
 use crate::progress::Silent;
 
 const SIZE: (usize, usize) = (384, 256);
