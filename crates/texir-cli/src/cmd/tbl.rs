@@ -18,7 +18,7 @@ use crate::failure::Failure;
 pub struct Tbl {
     #[command(flatten)]
     capture: CaptureArgs,
-    /// The HDR texture; its coverage mask goes beside it, as <name>_mask.png
+    /// The HDR texture; its coverage mask goes beside it, as NAME_mask.png
     #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
     output: PathBuf,
     /// Side of the texture, texels

@@ -49,7 +49,7 @@ fn box_room() -> Mesh {
 fn patchy_light() -> Rgb {
     let mut light = Rgb::filled(24, 8, [0.0; 3]);
     for (i, texel) in light.data.iter_mut().enumerate() {
-        let bright = if hash(i as u32) % 11 == 0 { 20.0 } else { 0.2 };
+        let bright = if hash(i as u32).is_multiple_of(11) { 20.0 } else { 0.2 };
         *texel = std::array::from_fn(|c| bright * (0.5 + hash2(i as u32, c as u32) as f32 / u32::MAX as f32));
     }
     light
@@ -213,8 +213,9 @@ fn lookup_vjp_is_the_transpose_of_lookup() {
     let valid: Vec<bool> = (0..15).map(|i| i % 4 != 3).collect();
     let pyramid = Pyramid::new(5, 3, &valid);
     let taps = |pixel: u32| {
-        let texels: Vec<usize> =
-            (0..pyramid.len()).filter(|&t| pyramid.coverage[t] > 0.0 && hash2(pixel, t as u32) % 3 == 0).collect();
+        let texels: Vec<usize> = (0..pyramid.len())
+            .filter(|&t| pyramid.coverage[t] > 0.0 && hash2(pixel, t as u32).is_multiple_of(3))
+            .collect();
         texels.iter().map(|&t| Tap { texel: t as u32, weight: 1.0 / (1.0 + t as f32) }).collect()
     };
     let footprints = Footprints::new(Rows::from_lists((0..7).map(taps)));
