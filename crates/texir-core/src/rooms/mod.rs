@@ -1,9 +1,9 @@
 //! Rooms from the mesh: a floor plan in which every point belongs to a room, and a doorway separates.
 //!
-//! The mesh is rasterised into vertical columns ([`columns`]). A wall fills its column from sitting to head height and up
+//! The mesh is rasterised into vertical columns (`columns.rs`). A wall fills its column from sitting to head height and up
 //! to the ceiling; furniture fills neither, so it does not split a room; a lintel fills only the part under the ceiling.
 //! What is covered by a floor or a ceiling and not walled is free space, and free space is cut into rooms at lintels no
-//! wider than a door and where it narrows to a doorway ([`segment`]). One storey at a time: what lies under the floor
+//! wider than a door and where it narrows to a doorway (`segment.rs`). One storey at a time: what lies under the floor
 //! that the cameras stand on, or above the highest ceiling, is left out.
 
 mod columns;

@@ -1,8 +1,8 @@
 //! Texture-based lighting from the views: the radiance of every atlas texel, as the panoramas or photos show it.
 //!
-//! Each texel's surface point is projected into every view, tested for visibility, sampled ([`sample`]) and blended
-//! robustly over the views ([`blend`]); texels that no view sees are filled from their neighbourhood in space
-//! ([`crate::inpaint`]) and flagged. Pixels masked out of the fit are used all the same: emitters are masked, and they are the
+//! Each texel's surface point is projected into every view, tested for visibility, sampled (`sample.rs`) and blended
+//! robustly over the views (`blend.rs`); texels that no view sees are filled from their neighbourhood in space
+//! (`inpaint.rs`) and flagged. Pixels masked out of the fit are used all the same: emitters are masked, and they are the
 //! light. Views are read one at a time; memory is bounded by the atlas and a band of it.
 
 mod blend;
