@@ -29,7 +29,7 @@ fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> 
         (_, Ok(gpu)) => Ok(Some(gpu)),
         (BackendChoice::Auto, Err(error)) if adapter.is_none() => {
             console.detail(&error.to_string());
-            console.note("no GPU adapter was found: the passes run on the CPU, which gives the same results more slowly");
+            console.note("no GPU adapter was found: the passes run on the CPU, which gives the same results");
             Ok(None)
         }
         (_, Err(error)) => Err(Failure::from(error).help(
