@@ -12,6 +12,7 @@ use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
+use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Footprints, Pyramid};
 
@@ -236,6 +237,16 @@ pub trait Backend {
         shaded: &[Shaded],
         d_radiance: &[[f32; 3]],
     ) -> Result<Vec<MaterialGrad>>;
+
+    /// Specular tables: the specular radiance of a dielectric at every pixel as a function of roughness, from light samples
+    /// that are drawn once and weighed at every tabulated roughness; unbiased at each. A pixel is the mean over its strata.
+    /// Advances `progress` by the rays traced.
+    fn specular_tables(
+        &mut self,
+        pixels: &[[ShadePoint; STRATA]],
+        sampling: TableSampling,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Curve>>;
 
     /// Image loss: the weighted mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x).
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>>;

@@ -24,8 +24,14 @@ pub struct Cosines<R> {
 
 /// D = α² / (π (nh²(α²−1)+1)²): GGX distribution of half-vectors, per solid angle.
 pub fn distribution<R: Real>(nh: R, r: R) -> R {
+    distribution_at(R::of(1.0) - nh * nh, r)
+}
+
+/// [`distribution`] by sin²θ_h instead of nh: D = α² / (π (α² + sin²θ_h (1−α²))²). In single precision nh cannot resolve the
+/// peak of a smooth lobe; the sine of a small angle can.
+pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
     let a2 = r * r * r * r;
-    let d = nh * nh * (a2 - R::of(1.0)) + R::of(1.0);
+    let d = a2 + sin2 * (R::of(1.0) - a2);
     a2 / (R::of(std::f64::consts::PI) * d * d)
 }
 

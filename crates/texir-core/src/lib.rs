@@ -28,6 +28,7 @@ pub mod render;
 pub mod rng;
 pub mod rooms;
 pub mod scene;
+pub mod specular_table;
 pub mod surface;
 pub mod tbl;
 pub mod texture;

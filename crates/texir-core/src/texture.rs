@@ -149,6 +149,26 @@ impl Rows {
         rows
     }
 
+    /// The transpose of a matrix with `columns` columns: its row `j` lists the rows of `self` that have an entry in column
+    /// `j`, ascending.
+    pub fn transposed(&self, columns: usize) -> Rows {
+        let mut offsets = vec![0u32; columns + 1];
+        self.taps.iter().for_each(|tap| offsets[tap.texel as usize + 1] += 1);
+        for j in 0..columns {
+            offsets[j + 1] += offsets[j];
+        }
+        let mut next = offsets.clone();
+        let mut taps = vec![Tap { texel: 0, weight: 0.0 }; self.taps.len()];
+        for i in 0..self.len() {
+            for tap in self.row(i) {
+                let slot = &mut next[tap.texel as usize];
+                taps[*slot as usize] = Tap { texel: i as u32, weight: tap.weight };
+                *slot += 1;
+            }
+        }
+        Rows { offsets, taps }
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.offsets.len() - 1
@@ -255,7 +275,7 @@ fn sub_pixel(pyramid: &Pyramid, mesh: &Mesh, camera: &Camera, hit: &Hit, x: usiz
 }
 
 /// Joins taps on the same texel and makes the weights sum to 1.
-fn merge(taps: &mut Vec<Tap>) {
+pub(crate) fn merge(taps: &mut Vec<Tap>) {
     taps.sort_unstable_by_key(|t| t.texel);
     taps.dedup_by(|next, kept| {
         let same = next.texel == kept.texel;

@@ -1,5 +1,6 @@
 //! Irradiance gather, twin of `irradiance.wgsl`.
 
+use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::{Gather, Gathered};
 use crate::brdf::basis;
@@ -14,26 +15,6 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
     let (u, phi) = (R::of(f64::from(u)), R::of(std::f64::consts::TAU * f64::from(v)));
     let radius = u.sqrt();
     V3([radius * phi.cos(), radius * phi.sin(), (R::of(1.0) - u).sqrt()])
-}
-
-/// A point on a light, and the triangle it lies on: slot ⌊u·n⌋, whose fraction decides between the two lights, and a
-/// uniform point by the square-root map.
-fn light_point<R: Real>(mesh: &Mesh, lights: &Lights, choice: f32, [u, v]: [f32; 2]) -> (u32, V3<R>) {
-    let scaled = choice * lights.slots.len() as f32;
-    let slot = &lights.slots[(scaled as usize).min(lights.slots.len() - 1)];
-    let triangle = if scaled.fract() < slot.keep { slot.triangle } else { slot.alias };
-    let [a, b, c] = mesh.corners(triangle).map(|p| V3::of(p.to_array()));
-    let root = R::of(f64::from(u)).sqrt();
-    let v = R::of(f64::from(v));
-    (triangle, a * (R::of(1.0) - root) + b * (root * (R::of(1.0) - v)) + c * (root * v))
-}
-
-/// Density, per solid angle, with which the light samples draw the direction of a hit: density per area · t² / |cosθ'|.
-fn light_density<R: Real>(mesh: &Mesh, lights: &Lights, hit: &TraceHit<R>, direction: V3<R>) -> R {
-    let per_area = R::of(f64::from(lights.density[hit.triangle as usize]));
-    let [a, b, c] = mesh.corners(hit.triangle).map(|p| V3::of(p.to_array()));
-    let cosine = (b - a).cross(c - a).normalize().dot(direction).abs();
-    per_area * hit.t * hit.t / cosine.max(R::of(1e-6))
 }
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and

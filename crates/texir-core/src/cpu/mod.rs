@@ -3,12 +3,14 @@
 
 pub mod group_loss;
 pub mod irradiance;
+pub mod light_sampling;
 pub mod lookup;
 pub mod primary;
 pub mod project;
 pub mod radiance_loss;
 pub mod shade;
 pub mod shade_vjp;
+pub mod specular_table;
 pub mod texels;
 pub mod trace;
 
@@ -28,6 +30,7 @@ use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::real::V3;
 use crate::scene::Scene;
+use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Footprints, Pyramid};
 use shade::{MaterialIn, ShadedIn};
@@ -171,6 +174,18 @@ impl Backend for CpuBackend<'_> {
             MaterialGrad { albedo: d.albedo.0, roughness: d.roughness, metallic: d.metallic, pad: [0.0; 3] }
         };
         Ok((0..points.len()).into_par_iter().map(grad).collect())
+    }
+
+    fn specular_tables(
+        &mut self,
+        pixels: &[[ShadePoint; STRATA]],
+        sampling: TableSampling,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Curve>> {
+        let (lighting, lights) = self.lighting()?;
+        map_in_chunks(pixels, progress, u64::from(sampling.rays()), |_, strata| {
+            Curve::new(specular_table::specular_table(&lighting, lights, strata, sampling).map(V3::to_f32))
+        })
     }
 
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {

@@ -1,11 +1,11 @@
-//! The fit in paper mode: from a capture to albedo and roughness textures, in three stages.
+//! The fit: from a capture to albedo and roughness textures.
 //!
-//! texture-based lighting → irradiance → rooms → views → stage I → II → III ([`stages`]).
+//! texture-based lighting → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
 
 pub mod adam;
+pub mod full;
+pub mod paper;
 pub mod settings;
-pub mod stages;
-pub mod views;
 
 use std::time::Instant;
 
@@ -16,18 +16,46 @@ use crate::backend::{Backend, Gather};
 use crate::bake;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::error::{Error, Result};
-use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::rooms::{self, FloorPlan, RoomOptions};
 use crate::scene::Scene;
 use crate::tbl::{self, TblOptions};
-use crate::texture::Pyramid;
-pub use settings::FitSettings;
-pub use stages::{EpochLog, Stage};
-use stages::{Optimisation, Textures};
-use views::{FitView, Surroundings};
+pub use paper::stages::{EpochLog, Stage};
+pub use settings::{FitSettings, Mode};
+
+/// What both modes start from: the light of the scene, and where its texels are.
+pub struct Ground<'a> {
+    /// The mesh.
+    pub scene: &'a Scene,
+    /// Its texels.
+    pub atlas: &'a Atlas,
+    /// The texture-based lighting.
+    pub radiance: &'a Rgb,
+    /// Its light sources, as sampled.
+    pub lights: &'a Lights,
+    /// E per texel.
+    pub irradiance: &'a Rgb,
+    /// Texels that are light sources.
+    pub emitters: &'a Mask,
+    /// The texture-based lighting where they are, 0 elsewhere.
+    pub emission: &'a Rgb,
+    /// Rooms, for views that bring none.
+    pub plan: &'a FloorPlan,
+    /// Seed of the run.
+    pub seed: u32,
+}
+
+/// What a mode yields, in the atlas.
+pub struct Materials {
+    /// Linear albedo.
+    pub albedo: Rgb,
+    /// Perceptual roughness.
+    pub roughness: Gray,
+    /// Irradiance E with which the materials explain the images.
+    pub irradiance: Rgb,
+}
 
 /// What a fit yields, all in the same atlas.
 #[derive(Clone, Debug)]
@@ -74,7 +102,6 @@ pub fn fit(
     timings.mark("texture-based lighting");
 
     let atlas = Atlas::new(backend, scene, size.0, size.1)?;
-    let pyramid = atlas.pyramid();
     let lights = Lights::find(&scene.mesh, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
     let gather = Gather {
@@ -97,63 +124,25 @@ pub fn fit(
              Check the exposure of the images, or lower the setting emitter_ratio",
         ));
     }
-    let surroundings = Surroundings {
+    let ground = Ground {
         scene,
         atlas: &atlas,
-        pyramid: &pyramid,
+        radiance: &tbl.radiance,
+        lights: &lights,
         irradiance: &irradiance,
         emitters: &emitters,
+        emission: &emission,
         plan: &plan,
-        footprint_samples: settings.footprint_samples,
         seed: settings.seed,
     };
-    backend.set_tbl(&emission, &Lights::none(&scene.mesh))?;
-    let views = surroundings.prepare(backend, &training, progress)?;
-    backend.set_tbl(&tbl.radiance, &lights)?;
-    timings.mark("views");
-
-    let texels = size.0 * size.1;
-    let mut textures = Textures {
-        albedo: vec![settings.parameters.albedo_start; 3 * texels],
-        roughness: vec![settings.parameters.roughness_start; texels],
+    let materials = match settings.mode {
+        Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
+        Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
     };
-    let mut stage_log = |entry: &EpochLog| log(entry);
-    Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log: &mut stage_log, started }
-        .run(&mut textures)?;
-    let (albedo, roughness) = complete(backend, scene, &atlas, &pyramid, &views, &textures)?;
-    timings.mark("stages I to III");
+    let Materials { albedo, roughness, irradiance } = materials;
+    timings.mark("materials");
 
     Ok(FitResult { albedo, roughness, irradiance, emission, tbl, plan, timings: timings.entries })
-}
-
-/// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep the
-/// values that the fit started from.
-fn complete(
-    backend: &mut dyn Backend,
-    scene: &Scene,
-    atlas: &Atlas,
-    pyramid: &Pyramid,
-    views: &[FitView],
-    textures: &Textures,
-) -> Result<(Rgb, Gray)> {
-    let mut seen = vec![false; atlas.width * atlas.height];
-    for view in views {
-        let weight = backend.lookup_vjp(pyramid, &vec![1.0; view.points.len()], 1, &view.footprints)?;
-        seen.iter_mut().zip(weight).for_each(|(seen, weight)| *seen |= weight > 0.0);
-    }
-    let known = |value: &dyn Fn(usize) -> [f32; 3]| -> Vec<Option<[f32; 3]>> {
-        atlas.texels.iter().map(|&t| seen[t as usize].then(|| value(t as usize))).collect()
-    };
-    let texel = atlas.typical_texel(&scene.mesh);
-    let albedo = known(&|t| textures.albedo.as_chunks::<3>().0[t]);
-    let albedo = inpaint::fill(&atlas.points, &albedo, texel);
-    let roughness = known(&|t| [textures.roughness[t]; 3]);
-    let roughness: Vec<f32> = inpaint::fill(&atlas.points, &roughness, texel).iter().map(|r| r[0]).collect();
-    let all = vec![true; atlas.texels.len()];
-    Ok((
-        atlas.scatter_padded(&albedo, &all, [0.0; 3], bake::PADDING),
-        atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
-    ))
 }
 
 /// Light sources: texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and

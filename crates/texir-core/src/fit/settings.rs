@@ -8,12 +8,25 @@ use crate::error::{Error, Result};
 /// Largest side of the atlas, texels: beyond it, no graphics card holds the texture.
 const MAX_ATLAS: usize = 16_384;
 
-/// Settings of the fit in paper mode; the defaults are the paper's where it states them.
+/// How materials are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The paper's three stages of gradient descent.
+    Paper,
+    /// Robust least squares and a scan over roughness, on light samples drawn once.
+    #[default]
+    Full,
+}
+
+/// Settings of the fit; in paper mode the defaults are the paper's where it states them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FitSettings {
     /// Seed of every random choice.
     pub seed: u32,
+    /// How materials are found.
+    pub mode: Mode,
     /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size.
     pub atlas_size: usize,
     /// Rays per texel of the irradiance bake, half of them to the light sources.
@@ -36,6 +49,66 @@ pub struct FitSettings {
     pub stage_two: StageTwoSettings,
     /// Stage III: albedo and roughness together.
     pub stage_three: StageThreeSettings,
+    /// Full mode.
+    pub full: FullSettings,
+}
+
+/// Full mode.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FullSettings {
+    /// Light samples of each of a pixel's four points: per lobe of five,
+    pub lobe_samples: u32,
+    /// cosine-distributed,
+    pub cosine_samples: u32,
+    /// and to the light sources.
+    pub light_samples: u32,
+    /// Albedo by least squares.
+    pub albedo: AlbedoSettings,
+    /// Roughness by a scan.
+    pub roughness: RoughnessSettings,
+}
+
+/// Albedo by robust least squares.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlbedoSettings {
+    /// σ of a pixel's albedo: this much,
+    pub noise: f32,
+    /// and this share of its apparent albedo I π/E.
+    pub image_noise: f32,
+    /// Weight of the difference between neighbours, where a pixel of least noise has 1.
+    pub smoothness: f32,
+    /// Albedo difference from which an edge is believed.
+    pub edge_scale: f32,
+    /// Weight of the segment's mean on every texel.
+    pub segment_prior: f32,
+    /// Re-weightings.
+    pub rounds: u32,
+    /// Steps of conjugate gradients between two.
+    pub iterations: u32,
+}
+
+/// Roughness by a scan, and how groups follow their parents: pulls are per pixel, on (ln r − ln r_parent)².
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RoughnessSettings {
+    /// Roughness of what nothing is known about.
+    pub start: f32,
+    /// σ of a pixel's albedo in the scan: the albedo's `noise`, and this share of the apparent albedo.
+    pub image_noise: f32,
+    /// Steps of conjugate gradients per roughness.
+    pub iterations: u32,
+    /// Pixels seen at a smaller cosine do not count: models of grazing reflectance differ most.
+    pub min_cosine: f32,
+    /// Largest roughness: beyond it lobes cannot be told apart.
+    pub cap: f32,
+    /// Pull of everything on a class.
+    pub class_pull: f32,
+    /// Pull of a class on its part in a room.
+    pub room_pull: f32,
+    /// Pull of a class in a room on its segments.
+    pub segment_pull: f32,
 }
 
 /// Adam and its schedule.
@@ -111,6 +184,7 @@ impl Default for FitSettings {
     fn default() -> Self {
         Self {
             seed: 0,
+            mode: Mode::default(),
             atlas_size: 0,
             irradiance_samples: 256,
             specular_samples: 16,
@@ -122,6 +196,48 @@ impl Default for FitSettings {
             stage_one: StageOneSettings::default(),
             stage_two: StageTwoSettings::default(),
             stage_three: StageThreeSettings::default(),
+            full: FullSettings::default(),
+        }
+    }
+}
+
+impl Default for FullSettings {
+    fn default() -> Self {
+        Self {
+            lobe_samples: 2,
+            cosine_samples: 2,
+            light_samples: 6,
+            albedo: AlbedoSettings::default(),
+            roughness: RoughnessSettings::default(),
+        }
+    }
+}
+
+impl Default for AlbedoSettings {
+    fn default() -> Self {
+        Self {
+            noise: 0.02,
+            image_noise: 0.1,
+            smoothness: 0.03,
+            edge_scale: 0.03,
+            segment_prior: 1e-3,
+            rounds: 3,
+            iterations: 25,
+        }
+    }
+}
+
+impl Default for RoughnessSettings {
+    fn default() -> Self {
+        Self {
+            start: 0.5,
+            image_noise: 0.05,
+            iterations: 8,
+            min_cosine: 0.35,
+            cap: 0.88,
+            class_pull: 0.003,
+            room_pull: 0.001,
+            segment_pull: 0.001,
         }
     }
 }

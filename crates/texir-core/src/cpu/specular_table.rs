@@ -1,0 +1,136 @@
+//! Specular tables, twin of `specular_table.wgsl`: light samples of a pixel drawn once, weighed at every tabulated
+//! roughness.
+
+use super::irradiance::cosine_direction;
+use super::light_sampling::{light_density, light_point};
+use super::trace::{Lighting, Trace, TraceHit};
+use crate::backend::ShadePoint;
+use crate::brdf::{DIELECTRIC_F0, basis, distribution_at, fresnel_weight, masking, sample_cos2};
+use crate::lights::Lights;
+use crate::real::{Real, V3};
+use crate::rng::{hash2, sobol2};
+use crate::specular_table::{LOBES, NODES, STRATA, TableSampling, node};
+
+/// S(r_k) = Σ L f_s(r_k) nl / Σ_j n_j p_j at every node k, the mean over the strata: the balance heuristic (Veach and
+/// Guibas 1995) over all lobes, the cosine and the lights. Every node uses every sample. Technique j draws from the Sobol
+/// sequence of `hash2(hash2(seed, sequence), j)`, stratum t its samples `[t n_j, (t+1) n_j)`.
+pub fn specular_table<R: Real, T: Trace<R>>(
+    lighting: &Lighting<'_, T>,
+    lights: &Lights,
+    strata: &[ShadePoint; STRATA],
+    sampling: TableSampling,
+) -> [V3<R>; NODES] {
+    let seed = hash2(sampling.seed, strata[0].sequence);
+    let sampling = TableSampling { light: if lights.slots.is_empty() { 0 } else { sampling.light }, ..sampling };
+    let mut sums = [V3::zero(); NODES];
+    for (stratum, point) in strata.iter().enumerate() {
+        let drawn = Drawn { lighting, lights, point, sampling };
+        let sequence = |technique: usize, samples: u32| {
+            let first = stratum as u32 * samples;
+            (first..first + samples).map(move |i| (i, hash2(seed, technique as u32)))
+        };
+        for (technique, lobe) in LOBES.iter().enumerate() {
+            for (i, seed) in sequence(technique, sampling.lobe) {
+                drawn.add(drawn.lobe_direction(*lobe, sobol2(i, seed)), None, &mut sums);
+            }
+        }
+        for (i, seed) in sequence(LOBES.len(), sampling.cosine) {
+            let V3([x, y, z]) = cosine_direction(sobol2(i, seed));
+            let normal = V3::of(point.normal);
+            let (tangent, bitangent) = basis(normal);
+            drawn.add(tangent * x + bitangent * y + normal * z, None, &mut sums);
+        }
+        for (i, seed) in sequence(LOBES.len() + 1, sampling.light) {
+            let choice = sobol2(i, hash2(seed, 1))[0];
+            let (triangle, target) = light_point(lighting.tracer.mesh(), lights, choice, sobol2(i, seed));
+            drawn.add((target - V3::of(point.position)).normalize(), Some(triangle), &mut sums);
+        }
+    }
+    sums.map(|s| s * R::of(1.0 / STRATA as f64))
+}
+
+/// One stratum's point and what directions are weighed with.
+struct Drawn<'a, T> {
+    lighting: &'a Lighting<'a, T>,
+    lights: &'a Lights,
+    point: &'a ShadePoint,
+    sampling: TableSampling,
+}
+
+impl<T> Drawn<'_, T> {
+    /// The view reflected about a half-vector of the GGX lobe of roughness `r`.
+    fn lobe_direction<R: Real>(&self, r: f32, [u, v]: [f32; 2]) -> V3<R> {
+        let (normal, view) = (V3::of(self.point.normal), V3::<R>::of(self.point.view));
+        let (tangent, bitangent) = basis(normal);
+        let phi = R::of(std::f64::consts::TAU * f64::from(v));
+        let cos2 = sample_cos2(R::of(f64::from(u)), R::of(f64::from(r)));
+        let (cos, sin) = (cos2.sqrt(), (R::of(1.0) - cos2).max(R::of(0.0)).sqrt());
+        let half = (tangent * phi.cos() + bitangent * phi.sin()) * sin + normal * cos;
+        half * (R::of(2.0) * view.dot(half)) - view
+    }
+
+    /// Traces a direction and adds it to every node. A light sample counts only where it reaches its own triangle.
+    fn add<R: Real>(&self, direction: V3<R>, aimed_at: Option<u32>, sums: &mut [V3<R>; NODES])
+    where
+        T: Trace<R>,
+    {
+        let (zero, one) = (R::of(0.0), R::of(1.0));
+        let (normal, view) = (V3::of(self.point.normal), V3::of(self.point.view));
+        let (nl, nv) = (normal.dot(direction), normal.dot(view));
+        if !(nl > zero && nv > zero) {
+            return;
+        }
+        let half = (direction + view).normalize();
+        let across = normal.cross(half);
+        let lobe = Lobe {
+            nl: nl.min(one),
+            nv: nv.min(one),
+            nh: normal.dot(half).max(zero).min(one),
+            vh: view.dot(half).max(R::of(1e-6)).min(one),
+            sin2: across.dot(across),
+        };
+        let Some(hit) = self.lighting.tracer.closest(V3::of(self.point.position), direction) else { return };
+        if aimed_at.is_some_and(|triangle| triangle != hit.triangle) {
+            return;
+        }
+        let fresnel = fresnel_weight(lobe.vh);
+        let fresnel = R::of(DIELECTRIC_F0) * (one - fresnel) + fresnel;
+        let light = self.lighting.radiance_at(&hit) * (lobe.nl * fresnel / self.density(&lobe, &hit, direction));
+        for (k, sum) in sums.iter_mut().enumerate() {
+            *sum = *sum + light * lobe.specular_over_fresnel(R::of(f64::from(node(k))));
+        }
+    }
+
+    /// Σ_j n_j p_j: how densely all techniques together draw a direction, per solid angle.
+    fn density<R: Real>(&self, lobe: &Lobe<R>, hit: &TraceHit<R>, direction: V3<R>) -> R
+    where
+        T: Trace<R>,
+    {
+        let n = |samples: u32| R::of(f64::from(samples));
+        let lobes = LOBES.iter().map(|&r| lobe.pdf(R::of(f64::from(r)))).fold(R::of(0.0), |sum, p| sum + p);
+        n(self.sampling.lobe) * lobes
+            + n(self.sampling.cosine) * lobe.nl * R::of(std::f64::consts::FRAC_1_PI)
+            + n(self.sampling.light) * light_density(self.lighting.tracer.mesh(), self.lights, hit, direction)
+    }
+}
+
+/// A pair of directions as the lobes see it: cosines, and sin²θ_h.
+struct Lobe<R> {
+    nl: R,
+    nv: R,
+    nh: R,
+    vh: R,
+    sin2: R,
+}
+
+impl<R: Real> Lobe<R> {
+    /// f_s / F = D g(nl) g(nv) / 4.
+    fn specular_over_fresnel(&self, r: R) -> R {
+        distribution_at(self.sin2, r) * masking(self.nl, r) * masking(self.nv, r) * R::of(0.25)
+    }
+
+    /// Density of the direction under half-vector sampling: D nh / (4 vh).
+    fn pdf(&self, r: R) -> R {
+        distribution_at(self.sin2, r) * self.nh / (R::of(4.0) * self.vh)
+    }
+}

@@ -1,0 +1,268 @@
+//! Albedo as one sparse, robust least-squares problem over all views, for given specular radiance.
+//!
+//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/E_p, with E_p = Σ w_t E_t; both sides are albedos. Its weight is
+//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Neighbours in a
+//! segment are drawn together by a Cauchy loss as well, so that edges survive, and every texel weakly to its segment's
+//! mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs (iteratively
+//! re-weighted least squares).
+
+use glam::Vec3A;
+use rayon::prelude::*;
+
+use super::neighbours::{NONE, Neighbours};
+use super::observations::Observations;
+use crate::fit::settings::AlbedoSettings;
+
+/// Items per task of a parallel loop.
+const BLOCK: usize = 4096;
+
+/// The problem, apart from the specular radiance.
+pub struct AlbedoProblem<'a> {
+    /// The data.
+    pub seen: &'a Observations,
+    /// Irradiance of each texel.
+    pub irradiance: &'a [Vec3A],
+    /// Who is beside whom.
+    pub neighbours: &'a Neighbours,
+    /// Segment of each texel, and how many there are.
+    pub segment: (&'a [u32], usize),
+    /// Weights.
+    pub settings: &'a AlbedoSettings,
+    /// π/E of each pixel.
+    pub per_irradiance: Vec<Vec3A>,
+}
+
+impl<'a> AlbedoProblem<'a> {
+    /// Sets the problem up.
+    pub fn new(
+        seen: &'a Observations,
+        irradiance: &'a [Vec3A],
+        neighbours: &'a Neighbours,
+        segment: (&'a [u32], usize),
+        settings: &'a AlbedoSettings,
+    ) -> Self {
+        let mut problem = Self { seen, irradiance, neighbours, segment, settings, per_irradiance: Vec::new() };
+        // A pixel in complete darkness says nothing: its weight vanishes with E.
+        let bright = irradiance.iter().map(|e| e.max_element()).fold(0.0, f32::max);
+        let floor = Vec3A::splat((1e-6 * bright).max(f32::MIN_POSITIVE));
+        problem.per_irradiance =
+            problem.looked_up(irradiance).into_par_iter().map(|e| std::f32::consts::PI / e.max(floor)).collect();
+        problem
+    }
+
+    /// The mean of a texel quantity over each pixel's footprint.
+    pub fn looked_up(&self, texels: &[Vec3A]) -> Vec<Vec3A> {
+        (0..self.seen.len())
+            .into_par_iter()
+            .with_min_len(BLOCK)
+            .map(|p| self.seen.rows.row(p).iter().map(|tap| texels[tap.texel as usize] * tap.weight).sum())
+            .collect()
+    }
+
+    /// What the views say without any solving: the mean over each texel's pixels of I π/E, 0 to 1; segment means elsewhere.
+    pub fn start(&self) -> Vec<Vec3A> {
+        let apparent: Vec<Vec3A> = self.apparent();
+        let mut albedo: Vec<Option<Vec3A>> = (0..self.irradiance.len())
+            .into_par_iter()
+            .map(|t| {
+                let taps = self.seen.columns.row(t);
+                let weight: f32 = taps.iter().map(|tap| tap.weight).sum();
+                let sum: Vec3A = taps.iter().map(|tap| apparent[tap.texel as usize] * tap.weight).sum();
+                (weight > 0.0).then(|| sum / weight)
+            })
+            .collect();
+        let means = self.segment_means(|t| albedo[t]);
+        albedo.iter_mut().zip(self.segment.0).map(|(a, s)| a.unwrap_or(means[*s as usize])).collect()
+    }
+
+    /// I π/E of each pixel, 0 to 1.
+    fn apparent(&self) -> Vec<Vec3A> {
+        let limit = |(i, per): (&Vec3A, &Vec3A)| (*i * *per).clamp(Vec3A::ZERO, Vec3A::ONE);
+        self.seen.radiance.par_iter().zip(&self.per_irradiance).map(limit).collect()
+    }
+
+    fn segment_means(&self, value: impl Fn(usize) -> Option<Vec3A>) -> Vec<Vec3A> {
+        let mut sums = vec![(Vec3A::ZERO, 0.0f32); self.segment.1];
+        for (t, segment) in self.segment.0.iter().enumerate() {
+            if let Some(value) = value(t) {
+                let (sum, weight) = &mut sums[*segment as usize];
+                *sum += value;
+                *weight += 1.0;
+            }
+        }
+        let all = sums.iter().fold((Vec3A::ZERO, 0.0), |(s, w), (sum, weight)| (s + *sum, w + weight));
+        let mean = |(sum, weight): (Vec3A, f32)| if weight > 0.0 { sum / weight } else { Vec3A::splat(0.5) };
+        sums.into_iter().map(|s| if s.1 > 0.0 { mean(s) } else { mean(all) }).collect()
+    }
+
+    /// (I − S) π/E: what each pixel says its albedo is.
+    pub fn target(&self, specular: &[Vec3A]) -> Vec<Vec3A> {
+        (self.seen.radiance.par_iter(), specular, &self.per_irradiance)
+            .into_par_iter()
+            .map(|(i, s, per)| (*i - *s) * *per)
+            .collect()
+    }
+
+    /// W(E a)/E_p: the albedo that each pixel sees, weighted by irradiance.
+    pub fn seen_albedo(&self, albedo: &[Vec3A]) -> Vec<Vec3A> {
+        let radiosity: Vec<Vec3A> = albedo.par_iter().zip(self.irradiance).map(|(a, e)| *a * *e).collect();
+        (self.looked_up(&radiosity), &self.per_irradiance)
+            .into_par_iter()
+            .map(|(b, per)| b * *per * std::f32::consts::FRAC_1_PI)
+            .collect()
+    }
+
+    /// W(E a)/E_p − target: the residual of each pixel, in albedo.
+    pub fn residual(&self, albedo: &[Vec3A], target: &[Vec3A]) -> Vec<Vec3A> {
+        (self.seen_albedo(albedo), target).into_par_iter().map(|(a, target)| a - *target).collect()
+    }
+
+    /// The noise σ of each pixel, in albedo: `noise` + `share` · I π/E (mean over the channels).
+    pub fn noise(&self, share: f32) -> Vec<f32> {
+        let noise = |(i, per): (&Vec3A, &Vec3A)| self.settings.noise + share * (*i * *per).element_sum() / 3.0;
+        self.seen.radiance.par_iter().zip(&self.per_irradiance).map(noise).collect()
+    }
+
+    /// Improves `albedo` for the given specular radiance by `rounds` runs of `iterations` steps of conjugate gradients.
+    pub fn solve(&self, albedo: &mut [Vec3A], specular: &[Vec3A], sigma: &[f32], rounds: u32, iterations: u32) {
+        let target = self.target(specular);
+        for _ in 0..rounds {
+            let residual = self.residual(albedo, &target);
+            let base = self.settings.noise;
+            let weight: Vec<f32> = (&residual, sigma)
+                .into_par_iter()
+                .map(|(e, s)| (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2)))
+                .collect();
+            let means = self.segment_means(|t| (!self.seen.columns.row(t).is_empty()).then(|| albedo[t]));
+            let system = System { problem: self, weight, edges: self.edge_weights(albedo) };
+            let mut right = system.transposed(&target);
+            let prior = self.settings.segment_prior;
+            right.par_iter_mut().zip(self.segment.0).for_each(|(r, s)| *r += prior * means[*s as usize]);
+            conjugate_gradients(&system, albedo, &right, iterations);
+            albedo.par_iter_mut().for_each(|a| *a = a.clamp(Vec3A::ZERO, Vec3A::ONE));
+        }
+    }
+
+    /// λ/(1 + |Δa|²/s²) to the right and to the lower neighbour; 0 across segments.
+    fn edge_weights(&self, albedo: &[Vec3A]) -> Vec<[f32; 2]> {
+        let AlbedoSettings { smoothness, edge_scale, .. } = *self.settings;
+        let segment = self.segment.0;
+        self.neighbours
+            .beside
+            .par_iter()
+            .enumerate()
+            .map(|(t, beside)| {
+                [beside[1], beside[3]].map(|n| {
+                    if n == NONE || segment[n as usize] != segment[t] {
+                        return 0.0;
+                    }
+                    let difference = albedo[t] - albedo[n as usize];
+                    smoothness / (1.0 + difference.length_squared() / 3.0 / edge_scale.powi(2))
+                })
+            })
+            .collect()
+    }
+}
+
+/// The normal equations of one re-weighting: A a = WᵀΩ target + prior.
+struct System<'a> {
+    problem: &'a AlbedoProblem<'a>,
+    /// Ω: per pixel.
+    weight: Vec<f32>,
+    /// To the right and lower neighbour, per texel.
+    edges: Vec<[f32; 2]>,
+}
+
+impl System<'_> {
+    /// Rows to texels: E_t Σ_p w Ω_p v_p / E_p.
+    fn transposed(&self, pixels: &[Vec3A]) -> Vec<Vec3A> {
+        let p = self.problem;
+        let weighted: Vec<Vec3A> = (pixels, &self.weight, &p.per_irradiance)
+            .into_par_iter()
+            .map(|(v, w, per)| *v * *per * (*w * std::f32::consts::FRAC_1_PI))
+            .collect();
+        (0..p.irradiance.len())
+            .into_par_iter()
+            .with_min_len(BLOCK)
+            .map(|t| {
+                let taps = p.seen.columns.row(t);
+                p.irradiance[t] * taps.iter().map(|tap| weighted[tap.texel as usize] * tap.weight).sum::<Vec3A>()
+            })
+            .collect()
+    }
+
+    /// A x.
+    fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
+        let p = self.problem;
+        let mut out = self.transposed(&p.seen_albedo(x));
+        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
+            *out += p.settings.segment_prior * x[t];
+            for (n, weight) in self.links(t) {
+                *out += weight * (x[t] - x[n as usize]);
+            }
+        });
+        out
+    }
+
+    /// The diagonal of A.
+    fn diagonal(&self) -> Vec<Vec3A> {
+        let p = self.problem;
+        let per = |pixel: u32| p.per_irradiance[pixel as usize] * std::f32::consts::FRAC_1_PI;
+        (0..p.irradiance.len())
+            .into_par_iter()
+            .with_min_len(BLOCK)
+            .map(|t| {
+                let square = |tap: &crate::texture::Tap| {
+                    let row = p.irradiance[t] * per(tap.texel) * tap.weight;
+                    row * row * self.weight[tap.texel as usize]
+                };
+                let data: Vec3A = p.seen.columns.row(t).iter().map(square).sum();
+                data + p.settings.segment_prior + self.links(t).map(|(_, weight)| weight).sum::<f32>()
+            })
+            .collect()
+    }
+
+    /// Neighbours of a texel with their weights.
+    fn links(&self, t: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
+        let [left, right, up, down] = self.problem.neighbours.beside[t];
+        let back = |n: u32, side: usize| if n == NONE { 0.0 } else { self.edges[n as usize][side] };
+        [(left, back(left, 0)), (right, self.edges[t][0]), (up, back(up, 1)), (down, self.edges[t][1])]
+            .into_iter()
+            .filter(|(n, weight)| *n != NONE && *weight > 0.0)
+    }
+}
+
+/// Jacobi-preconditioned conjugate gradients, the three channels side by side.
+fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], right: &[Vec3A], iterations: u32) {
+    let inverse: Vec<Vec3A> = system.diagonal().into_par_iter().map(|d| 1.0 / d.max(Vec3A::splat(1e-12))).collect();
+    let mut residual: Vec<Vec3A> = (system.apply(x), right).into_par_iter().map(|(a, r)| *r - a).collect();
+    let mut preconditioned: Vec<Vec3A> = (&residual, &inverse).into_par_iter().map(|(r, m)| *r * *m).collect();
+    let mut direction = preconditioned.clone();
+    let mut rho = dot(&residual, &preconditioned);
+    for _ in 0..iterations {
+        let image = system.apply(&direction);
+        let step = ratio(rho, dot(&direction, &image));
+        (&mut *x, &direction).into_par_iter().for_each(|(x, d)| *x += step * *d);
+        (&mut residual, &image).into_par_iter().for_each(|(r, a)| *r -= step * *a);
+        (&mut preconditioned, &residual, &inverse).into_par_iter().for_each(|(z, r, m)| *z = *r * *m);
+        let next = dot(&residual, &preconditioned);
+        let turn = ratio(next, rho);
+        rho = next;
+        (&mut direction, &preconditioned).into_par_iter().for_each(|(d, z)| *d = *z + turn * *d);
+    }
+}
+
+/// Per channel, summed block by block in a fixed order.
+fn dot(a: &[Vec3A], b: &[Vec3A]) -> [f64; 3] {
+    let partial: Vec<[f64; 3]> = a
+        .par_chunks(BLOCK)
+        .zip(b.par_chunks(BLOCK))
+        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| *a * *b).sum::<Vec3A>().to_array().map(f64::from))
+        .collect();
+    partial.iter().fold([0.0; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c]))
+}
+
+/// a / b per channel; 0 where b is: nothing is left to do there.
+fn ratio(a: [f64; 3], b: [f64; 3]) -> Vec3A {
+    Vec3A::from_array(std::array::from_fn(|c| if b[c] > 0.0 { (a[c] / b[c]) as f32 } else { 0.0 }))
+}

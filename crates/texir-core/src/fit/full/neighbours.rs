@@ -1,0 +1,101 @@
+//! Which texels are neighbours on the surface: beside each other in a chart, or on the two sides of a seam.
+
+use std::collections::HashMap;
+
+use glam::{IVec3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use crate::atlas::Atlas;
+use crate::mesh::Mesh;
+
+/// No neighbour on that side.
+pub const NONE: u32 = u32::MAX;
+
+/// Texels this many texel edges apart on the surface do not belong together, even side by side in the atlas.
+const REACH: f32 = 3.0;
+/// Vertices closer than this share of the scene's extent are one.
+const WELD: f32 = 1e-5;
+
+/// Neighbours of the valid texels, by index into [`Atlas::texels`].
+pub struct Neighbours {
+    /// Left, right, up and down in the chart, or [`NONE`].
+    pub beside: Vec<[u32; 4]>,
+    /// Pairs across the seams between charts.
+    pub seams: Vec<[u32; 2]>,
+}
+
+impl Neighbours {
+    /// The neighbours in an atlas.
+    pub fn new(mesh: &Mesh, atlas: &Atlas) -> Self {
+        let mut index = vec![NONE; atlas.width * atlas.height];
+        for (i, &texel) in atlas.texels.iter().enumerate() {
+            index[texel as usize] = i as u32;
+        }
+        let at = |x: i64, y: i64| {
+            let inside = x >= 0 && y >= 0 && x < atlas.width as i64 && y < atlas.height as i64;
+            if inside { index[y as usize * atlas.width + x as usize] } else { NONE }
+        };
+        let position = |i: u32| Vec3::from(atlas.points[i as usize].position);
+        let beside = atlas
+            .texels
+            .par_iter()
+            .enumerate()
+            .map(|(i, &texel)| {
+                let (x, y) = ((texel as usize % atlas.width) as i64, (texel as usize / atlas.width) as i64);
+                let reach = REACH * atlas.texel_area(mesh, atlas.points[i].triangle).sqrt();
+                [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| {
+                    let n = at(x + dx, y + dy);
+                    let near = n != NONE && {
+                        let other = REACH * atlas.texel_area(mesh, atlas.points[n as usize].triangle).sqrt();
+                        position(i as u32).distance(position(n)) < reach.max(other)
+                    };
+                    if near { n } else { NONE }
+                })
+            })
+            .collect();
+        let nearest = |uv: Vec2| at((uv.x * atlas.width as f32) as i64, (uv.y * atlas.height as f32) as i64);
+        Self { beside, seams: seams(mesh, atlas, nearest) }
+    }
+}
+
+/// Texels on the two sides of every mesh edge whose faces lie in different charts.
+fn seams(mesh: &Mesh, atlas: &Atlas, texel: impl Fn(Vec2) -> u32) -> Vec<[u32; 2]> {
+    let (low, high) = mesh.bounds();
+    let grid = (high - low).max_element().max(f32::MIN_POSITIVE) * WELD;
+    let weld = |p: Vec3| ((p - low) / grid).round().as_ivec3();
+    /// The corners of an edge in the atlas, in the order of their welded positions.
+    type Edge = [Vec2; 2];
+    let mut first: HashMap<(IVec3, IVec3), Edge> = HashMap::new();
+    let mut pairs = Vec::new();
+    let size = Vec2::new(atlas.width as f32, atlas.height as f32);
+    for triangle in 0..mesh.triangles.len() as u32 {
+        let (corners, uvs) = (mesh.corners(triangle), mesh.corner_uvs(triangle));
+        for i in 0..3 {
+            let (a, b) = (weld(corners[i]), weld(corners[(i + 1) % 3]));
+            let (key, edge) = if a.to_array() < b.to_array() {
+                ((a, b), [uvs[i], uvs[(i + 1) % 3]])
+            } else {
+                ((b, a), [uvs[(i + 1) % 3], uvs[i]])
+            };
+            match first.remove(&key) {
+                None => {
+                    first.insert(key, edge);
+                }
+                Some(other) if other == edge => {}
+                Some(other) => {
+                    let steps = ((edge[1] - edge[0]) * size).length().ceil().clamp(1.0, 4096.0) as usize;
+                    for s in 0..=steps {
+                        let t = s as f32 / steps as f32;
+                        let pair = [texel(other[0].lerp(other[1], t)), texel(edge[0].lerp(edge[1], t))];
+                        if pair[0] != pair[1] && !pair.contains(&NONE) {
+                            pairs.push(pair);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
+}

@@ -1,0 +1,201 @@
+//! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would shine
+//! at any roughness.
+
+use glam::{Vec3, Vec3A};
+use rayon::prelude::*;
+
+use crate::atlas::Atlas;
+use crate::backend::{Backend, ShadePoint};
+use crate::capture::View;
+use crate::error::{Error, Result};
+use crate::fit::settings::FullSettings;
+use crate::progress::Progress;
+use crate::raster::{Mask, Raster};
+use crate::rng::hash2;
+use crate::scene::Scene;
+use crate::specular_table::{Curve, STRATA, TableSampling};
+use crate::surface::Hit;
+use crate::texture::{Rows, Tap, merge};
+
+/// Strata of a pixel, per axis.
+const AXIS: usize = 2;
+const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a square");
+
+/// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked, or see a light source
+/// even in part are left out. All lists are per pixel.
+#[derive(Default)]
+pub struct Observations {
+    /// Observed radiance.
+    pub radiance: Vec<Vec3A>,
+    /// n·v.
+    pub cosine: Vec<f32>,
+    /// Specular radiance by roughness.
+    pub curves: Vec<Curve>,
+    /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
+    pub rows: Rows,
+    /// The transpose of `rows`: by texel, the pixels that see it.
+    pub columns: Rows,
+    /// Semantic class; 0 is "unknown".
+    pub class: Vec<u16>,
+    /// Room as the capture names it; 0 is "unknown".
+    pub room: Vec<u16>,
+    /// Number of pixels of each view, in order.
+    pub views: Vec<usize>,
+}
+
+impl Observations {
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.radiance.len()
+    }
+}
+
+/// What gathering observations takes.
+pub struct Observer<'a> {
+    /// The mesh.
+    pub scene: &'a Scene,
+    /// Its texels.
+    pub atlas: &'a Atlas,
+    /// Texels that are light sources.
+    pub emitters: &'a Mask,
+    /// Sample counts.
+    pub settings: &'a FullSettings,
+    /// Seed of the run.
+    pub seed: u32,
+}
+
+impl Observer<'_> {
+    /// Observes the views. The backend holds the full TBL and its lights.
+    pub fn observe(
+        &self,
+        backend: &mut dyn Backend,
+        views: &[View],
+        progress: &dyn Progress,
+    ) -> Result<Observations> {
+        let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>() * u64::from(self.sampling(0).rays());
+        progress.start("light samples", rays, "rays");
+        let index = TexelIndex::new(self.atlas);
+        let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
+        for view in views {
+            self.observe_one(backend, view, &index, &mut all, progress)?;
+        }
+        progress.finish();
+        if all.len() == 0 {
+            return Err(Error::invalid(
+                "no pixel of a training view shows a surface that is not a light source: check the cameras against the \
+                 mesh with `texir inspect`",
+            ));
+        }
+        all.columns = all.rows.transposed(self.atlas.texels.len());
+        Ok(all)
+    }
+
+    fn sampling(&self, view: u32) -> TableSampling {
+        let FullSettings { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, .. } = *self.settings;
+        TableSampling { lobe, cosine, light, seed: hash2(self.seed, view) }
+    }
+
+    fn observe_one(
+        &self,
+        backend: &mut dyn Backend,
+        view: &View,
+        index: &TexelIndex,
+        all: &mut Observations,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let mesh = &self.scene.mesh;
+        let image = view.load_image(progress)?;
+        let mask = view.load_mask()?;
+        let classes = view.load_semantic()?;
+        let rooms = view.load_room()?;
+        let fine = view.camera.supersampled(AXIS);
+        let hits = backend.primary(&fine)?;
+        let strata_of = |pixel: usize| -> [usize; STRATA] {
+            let (x, y) = (pixel % view.camera.width * AXIS, pixel / view.camera.width * AXIS);
+            std::array::from_fn(|k| (y + k / AXIS) * fine.width + x + k % AXIS)
+        };
+        let lit = |hit: &Hit| hit.is_hit() && self.emitters.data[index.nearest(hit.uv(mesh))];
+        let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
+            .into_par_iter()
+            .filter(|&pixel| mask.as_ref().is_none_or(|m| m.data[pixel]))
+            .filter_map(|pixel| {
+                let seen = strata_of(pixel).map(|s| &hits[s]);
+                if seen.iter().any(|hit| lit(hit)) {
+                    return None;
+                }
+                let mut taps: Vec<Tap> =
+                    seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(mesh))).collect();
+                merge(&mut taps);
+                (!taps.is_empty()).then_some((pixel, taps))
+            })
+            .collect();
+        let strata: Vec<[ShadePoint; STRATA]> = pixels
+            .par_iter()
+            .map(|&(pixel, _)| {
+                let strata = strata_of(pixel);
+                // A stratum that misses the mesh is stood in for by one that does not: there is one.
+                let standing_in = strata.into_iter().find(|&s| hits[s].is_hit()).unwrap_or(strata[0]);
+                strata.map(|s| {
+                    let s = if hits[s].is_hit() { s } else { standing_in };
+                    ShadePoint::new(mesh, &fine, s as u32, &hits[s], [0.0; 3])
+                })
+            })
+            .collect();
+        let sampling = self.sampling(all.views.len() as u32);
+        all.curves.extend(backend.specular_tables(&strata, sampling, progress)?);
+        progress.advance((view.camera.pixels() - pixels.len()) as u64 * u64::from(sampling.rays()));
+        all.cosine.extend(strata.iter().map(|strata| {
+            strata.iter().map(|p| Vec3::from(p.normal).dot(Vec3::from(p.view))).sum::<f32>() / STRATA as f32
+        }));
+        let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
+        for (pixel, taps) in &pixels {
+            all.radiance.push(Vec3A::from(image.data[*pixel]));
+            all.class.push(label(&classes, *pixel));
+            all.room.push(label(&rooms, *pixel).max(view.room_id.filter(|_| rooms.is_none()).unwrap_or(0)));
+            all.rows.taps.extend(taps);
+            all.rows.offsets.push(all.rows.taps.len() as u32);
+        }
+        all.views.push(pixels.len());
+        Ok(())
+    }
+}
+
+/// Finds the valid texels around atlas coordinates.
+struct TexelIndex {
+    width: usize,
+    height: usize,
+    /// Per atlas texel: its index in [`Atlas::texels`], or [`TexelIndex::EMPTY`].
+    index: Vec<u32>,
+}
+
+impl TexelIndex {
+    const EMPTY: u32 = u32::MAX;
+
+    fn new(atlas: &Atlas) -> Self {
+        let mut index = vec![Self::EMPTY; atlas.width * atlas.height];
+        for (i, &texel) in atlas.texels.iter().enumerate() {
+            index[texel as usize] = i as u32;
+        }
+        Self { width: atlas.width, height: atlas.height, index }
+    }
+
+    /// Atlas index of the texel that holds `uv`.
+    fn nearest(&self, uv: glam::Vec2) -> usize {
+        let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
+        texel(uv.y, self.height) * self.width + texel(uv.x, self.width)
+    }
+
+    /// Bilinear shares of the valid texels around `uv`; they are not normalised.
+    fn bilinear(&self, uv: glam::Vec2) -> impl Iterator<Item = Tap> + use<'_> {
+        let p = uv * glam::Vec2::new(self.width as f32, self.height as f32) - 0.5;
+        let base = p.floor();
+        let f = p - base;
+        [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter_map(move |(dx, dy)| {
+            let weight = (if dx == 0 { 1.0 - f.x } else { f.x }) * (if dy == 0 { 1.0 - f.y } else { f.y });
+            let x = (base.x as i64 + dx).clamp(0, self.width as i64 - 1) as usize;
+            let y = (base.y as i64 + dy).clamp(0, self.height as i64 - 1) as usize;
+            let texel = self.index[y * self.width + x];
+            (texel != Self::EMPTY && weight > 0.0).then_some(Tap { texel, weight })
+        })
+    }
+}

@@ -1,0 +1,112 @@
+//! The roughness scan: how well every pixel is explained at each tabulated roughness, with all albedos solved anew.
+//!
+//! Descending from a start is not enough: from a smooth start, lobes that miss every lamp have no gradient, and from a rough
+//! one they broaden until they fade. A scan has no start.
+
+use glam::Vec3A;
+use half::f16;
+use rayon::prelude::*;
+
+use super::albedo::AlbedoProblem;
+use super::neighbours::NONE;
+use crate::error::Result;
+use crate::fit::settings::RoughnessSettings;
+use crate::progress::Progress;
+use crate::specular_table::{NODES, node};
+
+/// What each pixel says about roughness.
+pub struct Evidence {
+    /// Segment of the pixel, or [`NONE`] for one that sees several, or at too grazing an angle.
+    pub segment: Vec<u32>,
+    /// Per pixel and node: ln(1 + (e/2σ)²), without what the segment's grazing term explains.
+    pub cost: Vec<[f16; NODES]>,
+}
+
+/// Scans all nodes from rough to smooth, the albedo of one node being the start of the next. `albedo` is left at the
+/// smoothest node's.
+pub fn scan(
+    problem: &AlbedoProblem<'_>,
+    settings: &RoughnessSettings,
+    albedo: &mut [Vec3A],
+    progress: &dyn Progress,
+) -> Result<Evidence> {
+    progress.start("roughness scan", NODES as u64, "roughnesses");
+    let sigma = problem.noise(settings.image_noise);
+    let segment = pure_segments(problem, settings.min_cosine);
+    let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
+    for k in (0..NODES).rev() {
+        progress.check()?;
+        let specular: Vec<Vec3A> = problem.seen.curves.par_iter().map(|c| Vec3A::from(c.at_node(k))).collect();
+        problem.solve(albedo, &specular, &sigma, 1, settings.iterations);
+        let residual = problem.residual(albedo, &problem.target(&specular));
+        let residual: Vec<f32> = residual.par_iter().map(|e| e.element_sum() / 3.0).collect();
+        let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
+        (&mut cost, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
+            |(cost, e, s, segment, cosine)| {
+                if *segment != NONE {
+                    let [slope, offset] = nuisance[*segment as usize];
+                    let e = e - slope * grazing(*cosine) - offset;
+                    cost[k] = f16::from_f32((e / (2.0 * s)).powi(2).ln_1p());
+                }
+            },
+        );
+        progress.advance(1);
+    }
+    progress.finish();
+    Ok(Evidence { segment, cost })
+}
+
+/// The one segment that a pixel sees, at a cosine above `min_cosine`; [`NONE`] otherwise.
+fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
+    let segments = problem.segment.0;
+    (0..problem.seen.len())
+        .into_par_iter()
+        .map(|p| {
+            let mut seen = problem.seen.rows.row(p).iter().map(|tap| segments[tap.texel as usize]);
+            let first = seen.next().unwrap_or(NONE);
+            if problem.seen.cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
+        })
+        .collect()
+}
+
+/// (1 − n·v)⁵: how Fresnel terms grow towards grazing angles.
+fn grazing(cosine: f32) -> f32 {
+    (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
+}
+
+/// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1: real materials
+/// differ from the BRDF in their grazing reflectance (and in retro-reflection), which a scan would take for gloss.
+fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[f32], sigma: &[f32]) -> Vec<[f32; 2]> {
+    // Σ ω (1, g, g², e, g e), ω the Cauchy weight.
+    let mut sums = vec![[0.0f64; 5]; problem.segment.1];
+    for (((segment, e), s), cosine) in segment.iter().zip(residual).zip(sigma).zip(&problem.seen.cosine) {
+        if *segment != NONE {
+            let g = f64::from(grazing(*cosine));
+            let e64 = f64::from(*e);
+            let weight = f64::from(1.0 / (1.0 + (e / (2.0 * s)).powi(2)) / (s * s));
+            let terms = [1.0, g, g * g, e64, g * e64];
+            sums[*segment as usize].iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
+        }
+    }
+    sums.into_iter()
+        .map(|[w, g, gg, e, ge]| {
+            if w == 0.0 {
+                return [0.0; 2];
+            }
+            let spread = gg - g * g / w;
+            let slope = if spread > 1e-9 * gg { ((ge - g * e / w) / spread).clamp(-1.0, 1.0) } else { 0.0 };
+            [slope as f32, ((e - slope * g) / w) as f32]
+        })
+        .collect()
+}
+
+/// Roughness of the minimum of a cost curve over the nodes, refined by the parabola through its neighbours in ln r.
+pub fn minimum(cost: &[f32; NODES]) -> f32 {
+    let k = (0..NODES).min_by(|a, b| cost[*a].total_cmp(&cost[*b])).unwrap_or(0);
+    if k == 0 || k == NODES - 1 {
+        return node(k);
+    }
+    let (left, right) = (cost[k - 1] - cost[k], cost[k + 1] - cost[k]);
+    let shift = if left + right > 0.0 { 0.5 * (left - right) / (left + right) } else { 0.0 };
+    node(k) * (shift * crate::specular_table::node_step()).exp()
+}

@@ -1,0 +1,122 @@
+//! From labels per pixel to segments on the surface: connected regions of one class in one room.
+
+use std::collections::VecDeque;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::neighbours::{NONE, Neighbours};
+use super::observations::Observations;
+use crate::atlas::Atlas;
+use crate::rooms::FloorPlan;
+use crate::texture::Tap;
+
+/// Labels of every valid texel.
+pub struct Segments {
+    /// Semantic class; 0 is "unknown".
+    pub class: Vec<u16>,
+    /// Class within a room, numbered from 0.
+    pub class_in_room: Vec<u32>,
+    /// Connected region of one class in one room, numbered from 0.
+    pub segment: Vec<u32>,
+    /// Number of segments.
+    pub count: usize,
+}
+
+/// Labels the texels by the votes of the pixels that see them, each with its share of the texel, so that what one view
+/// mistakes the others correct. Texels that no pixel sees take the label of the nearest one along the surface. Rooms are
+/// the capture's, where it names them, and else the floor plan's.
+pub fn segment(atlas: &Atlas, neighbours: &Neighbours, seen: &Observations, plan: &FloorPlan) -> Segments {
+    let class = spread(vote(seen, |p| Some(seen.class[p]).filter(|&c| c != 0)), neighbours, |_| 0);
+    let planned: Vec<u16> =
+        atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
+    let room = if seen.room.iter().any(|&r| r != 0) {
+        spread(vote(seen, |p| Some(seen.room[p]).filter(|&r| r != 0)), neighbours, |i| planned[i])
+    } else {
+        planned
+    };
+    let in_room: Vec<(u16, u16)> = class.iter().copied().zip(room).collect();
+    let (segment, count) = connected(&in_room, neighbours);
+    let mut pairs: Vec<(u16, u16)> = in_room.clone();
+    pairs.sort_unstable();
+    pairs.dedup();
+    let number = |pair: &(u16, u16)| pairs.partition_point(|p| p < pair) as u32;
+    Segments { class, class_in_room: in_room.par_iter().map(number).collect(), segment, count }
+}
+
+/// The label with the largest share of each texel's pixels; `None` where no pixel has one.
+fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + Sync) -> Vec<Option<u16>> {
+    (0..seen.columns.len())
+        .into_par_iter()
+        .map(|texel| {
+            let mut votes: Vec<(u16, f32)> = Vec::new();
+            for Tap { texel: pixel, weight } in seen.columns.row(texel) {
+                let Some(label) = label(*pixel as usize) else { continue };
+                match votes.iter_mut().find(|(known, _)| *known == label) {
+                    Some((_, votes)) => *votes += weight,
+                    None => votes.push((label, *weight)),
+                }
+            }
+            votes.into_iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))).map(|(label, _)| label)
+        })
+        .collect()
+}
+
+/// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.
+fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise: impl Fn(usize) -> u16) -> Vec<u16> {
+    let mut across = vec![Vec::new(); 0];
+    across.resize_with(known.len(), Vec::<u32>::new);
+    for &[a, b] in &neighbours.seams {
+        across[a as usize].push(b);
+        across[b as usize].push(a);
+    }
+    let mut labels = known;
+    let mut queue: VecDeque<u32> = (0..labels.len() as u32).filter(|&i| labels[i as usize].is_some()).collect();
+    while let Some(i) = queue.pop_front() {
+        let label = labels[i as usize];
+        for &n in neighbours.beside[i as usize].iter().chain(&across[i as usize]) {
+            if n != NONE && labels[n as usize].is_none() {
+                labels[n as usize] = label;
+                queue.push_back(n);
+            }
+        }
+    }
+    labels.into_iter().enumerate().map(|(i, label)| label.unwrap_or_else(|| otherwise(i))).collect()
+}
+
+/// Numbers the connected regions of equal labels.
+fn connected<T: PartialEq>(labels: &[T], neighbours: &Neighbours) -> (Vec<u32>, usize) {
+    let mut parent: Vec<u32> = (0..labels.len() as u32).collect();
+    let mut join = |a: u32, b: u32| {
+        if labels[a as usize] == labels[b as usize] {
+            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+            // The lower index leads, so that numbers do not depend on the order of joining.
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    };
+    for (i, beside) in neighbours.beside.iter().enumerate() {
+        beside.iter().filter(|&&n| n != NONE).for_each(|&n| join(i as u32, n));
+    }
+    neighbours.seams.iter().for_each(|&[a, b]| join(a, b));
+    let mut numbers = vec![NONE; labels.len()];
+    let mut count = 0;
+    let regions = (0..labels.len() as u32)
+        .map(|i| {
+            let root = root(&mut parent, i) as usize;
+            if numbers[root] == NONE {
+                numbers[root] = count;
+                count += 1;
+            }
+            numbers[root]
+        })
+        .collect();
+    (regions, count as usize)
+}
+
+fn root(parent: &mut [u32], mut i: u32) -> u32 {
+    while parent[i as usize] != i {
+        parent[i as usize] = parent[parent[i as usize] as usize];
+        i = parent[i as usize];
+    }
+    i
+}

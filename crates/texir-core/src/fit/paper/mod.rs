@@ -1,0 +1,88 @@
+//! The fit in paper mode: three stages of gradient descent ([`stages`]) over the views ([`views`]).
+
+pub mod stages;
+pub mod views;
+
+use std::time::Instant;
+
+use super::{Ground, Materials};
+use crate::atlas::Atlas;
+use crate::backend::Backend;
+use crate::bake;
+use crate::capture::View;
+use crate::error::Result;
+use crate::inpaint;
+use crate::lights::Lights;
+use crate::progress::Progress;
+use crate::raster::{Gray, Raster, Rgb};
+use crate::scene::Scene;
+use crate::texture::Pyramid;
+use crate::fit::settings::FitSettings;
+use stages::{EpochLog, Optimisation, Textures};
+use views::{FitView, Surroundings};
+
+/// Fits the materials. The backend holds the full TBL and its lights, before and after.
+pub fn fit(
+    backend: &mut dyn Backend,
+    ground: &Ground<'_>,
+    training: &[View],
+    settings: &FitSettings,
+    progress: &dyn Progress,
+    log: &mut dyn FnMut(&EpochLog),
+) -> Result<Materials> {
+    let Ground { scene, atlas, .. } = *ground;
+    let pyramid = atlas.pyramid();
+    let surroundings = Surroundings {
+        scene,
+        atlas,
+        pyramid: &pyramid,
+        irradiance: ground.irradiance,
+        emitters: ground.emitters,
+        plan: ground.plan,
+        footprint_samples: settings.footprint_samples,
+        seed: settings.seed,
+    };
+    backend.set_tbl(ground.emission, &Lights::none(&scene.mesh))?;
+    let views = surroundings.prepare(backend, training, progress)?;
+    backend.set_tbl(ground.radiance, ground.lights)?;
+    let texels = atlas.width * atlas.height;
+    let mut textures = Textures {
+        albedo: vec![settings.parameters.albedo_start; 3 * texels],
+        roughness: vec![settings.parameters.roughness_start; texels],
+    };
+    Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log, started: Instant::now() }
+        .run(&mut textures)?;
+    let (albedo, roughness) = complete(backend, scene, atlas, &pyramid, &views, &textures)?;
+    Ok(Materials { albedo, roughness, irradiance: ground.irradiance.clone() })
+}
+
+/// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep the
+/// values that the fit started from.
+fn complete(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    atlas: &Atlas,
+    pyramid: &Pyramid,
+    views: &[FitView],
+    textures: &Textures,
+) -> Result<(Rgb, Gray)> {
+    let mut seen = vec![false; atlas.width * atlas.height];
+    for view in views {
+        let weight = backend.lookup_vjp(pyramid, &vec![1.0; view.points.len()], 1, &view.footprints)?;
+        seen.iter_mut().zip(weight).for_each(|(seen, weight)| *seen |= weight > 0.0);
+    }
+    let known = |value: &dyn Fn(usize) -> [f32; 3]| -> Vec<Option<[f32; 3]>> {
+        atlas.texels.iter().map(|&t| seen[t as usize].then(|| value(t as usize))).collect()
+    };
+    let texel = atlas.typical_texel(&scene.mesh);
+    let albedo = known(&|t| textures.albedo.as_chunks::<3>().0[t]);
+    let albedo = inpaint::fill(&atlas.points, &albedo, texel);
+    let roughness = known(&|t| [textures.roughness[t]; 3]);
+    let roughness: Vec<f32> = inpaint::fill(&atlas.points, &roughness, texel).iter().map(|r| r[0]).collect();
+    let all = vec![true; atlas.texels.len()];
+    Ok((
+        atlas.scatter_padded(&albedo, &all, [0.0; 3], bake::PADDING),
+        atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
+    ))
+}
+

@@ -1,0 +1,125 @@
+//! Specular radiance as a function of roughness, per pixel: with it, the fit moves roughness without tracing a ray.
+//!
+//! The TBL is fixed while materials are fitted, so the light samples of a pixel can be drawn once and re-weighted for any
+//! roughness (method section 5.2). With F0 fixed, what re-weighting yields is one smooth curve per pixel and channel: it is
+//! tabulated at [`NODES`] roughnesses and interpolated. In ln r a GGX lobe has the same shape at every width, so that
+//! nodes evenly spaced in ln r resolve wide and narrow lobes alike.
+
+use bytemuck::{Pod, Zeroable};
+use half::f16;
+
+/// Roughnesses tabulated.
+pub const NODES: usize = 24;
+/// The smallest and the largest roughness tabulated.
+pub const RANGE: [f32; 2] = [0.03, 1.0];
+/// Rays of a pixel leave from this many points of it: images are box-filtered.
+pub const STRATA: usize = 4;
+/// Roughnesses of the lobes that directions are drawn from.
+pub const LOBES: [f32; 5] = [0.04, 0.09, 0.2, 0.4, 0.8];
+
+/// Roughness of node `k`.
+pub fn node(k: usize) -> f32 {
+    RANGE[0] * (RANGE[1] / RANGE[0]).powf(k as f32 / (NODES - 1) as f32)
+}
+
+/// Distance between two nodes in ln r.
+pub fn node_step() -> f32 {
+    (RANGE[1] / RANGE[0]).ln() / (NODES - 1) as f32
+}
+
+/// How many directions are drawn at each of a pixel's [`STRATA`] points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TableSampling {
+    /// Per lobe of [`LOBES`].
+    pub lobe: u32,
+    /// Cosine-distributed.
+    pub cosine: u32,
+    /// To the lights.
+    pub light: u32,
+    /// Seed of the run; a pixel draws from the sequences scrambled by `hash(seed, sequence)` of its first point.
+    pub seed: u32,
+}
+
+impl TableSampling {
+    /// Rays per pixel.
+    pub fn rays(&self) -> u32 {
+        STRATA as u32 * (LOBES.len() as u32 * self.lobe + self.cosine + self.light)
+    }
+}
+
+/// Specular radiance of a dielectric (F0 = 0.04) at the [`NODES`], linear RGB; the mean over the pixel's strata.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Curve {
+    /// Node by node.
+    pub nodes: [[f16; 3]; NODES],
+}
+
+impl Curve {
+    /// From radiance per node; what half floats cannot hold is cut to their largest value.
+    pub fn new(nodes: [[f32; 3]; NODES]) -> Self {
+        Self { nodes: nodes.map(|n| n.map(|c| f16::from_f32(c.min(f16::MAX.to_f32())))) }
+    }
+
+    /// Radiance at a node.
+    pub fn at_node(&self, k: usize) -> [f32; 3] {
+        self.nodes[k].map(f16::to_f32)
+    }
+
+    /// Radiance at roughness `r` and its derivative ∂/∂r, by Catmull–Rom interpolation in ln r; constant outside [`RANGE`].
+    pub fn at(&self, r: f32) -> ([f32; 3], [f32; 3]) {
+        let inside = r.clamp(RANGE[0], RANGE[1]);
+        let x = (inside / RANGE[0]).ln() / node_step();
+        let k = (x as usize).min(NODES - 2);
+        let t = x - k as f32;
+        let p = [k.saturating_sub(1), k, k + 1, (k + 2).min(NODES - 1)].map(|k| self.at_node(k));
+        let slope = if r == inside { 1.0 / (node_step() * r) } else { 0.0 };
+        let cubic = |c: usize| {
+            let [p0, p1, p2, p3] = p.map(|p| p[c]);
+            let (m1, m2) = (0.5 * (p2 - p0), 0.5 * (p3 - p1));
+            let (a, b) = (2.0 * (p1 - p2) + m1 + m2, 3.0 * (p2 - p1) - 2.0 * m1 - m2);
+            (((a * t + b) * t + m1) * t + p1, ((3.0 * a * t + 2.0 * b) * t + m1) * slope)
+        };
+        let [x, y, z] = [0, 1, 2].map(cubic);
+        ([x.0, y.0, z.0], [x.1, y.1, z.1])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a pixel sees of a lobe that passes a lamp: the GGX distribution at a fixed half-vector.
+    fn lobe(nh: f32) -> impl Fn(f32) -> f32 {
+        move |r| crate::brdf::distribution(nh, r)
+    }
+
+    #[test]
+    fn interpolation_follows_a_lobe_within_a_percent_of_its_peak() {
+        for nh in [0.9999f32, 0.995, 0.96, 0.8] {
+            let truth = lobe(nh);
+            let curve = Curve::new(std::array::from_fn(|k| [truth(node(k)); 3]));
+            let peak = (0..NODES).map(|k| truth(node(k))).fold(0.0, f32::max);
+            for i in 0..500 {
+                let r = 0.03 + 0.97 * i as f32 / 499.0;
+                let (value, _) = curve.at(r);
+                assert!((value[0] - truth(r)).abs() < 0.01 * peak, "nh {nh}, r {r}: {} against {}", value[0], truth(r));
+            }
+        }
+    }
+
+    #[test]
+    fn the_derivative_is_that_of_the_interpolant() {
+        let truth = lobe(0.98);
+        let curve = Curve::new(std::array::from_fn(|k| [truth(node(k)), 1.0, 2.0 * truth(node(k))]));
+        for r in [0.031f32, 0.05, 0.123, 0.3, 0.77, 0.99] {
+            let h = 1e-3 * r;
+            let difference = (curve.at(r + h).0[0] - curve.at(r - h).0[0]) / (2.0 * h);
+            let (_, slope) = curve.at(r);
+            assert!((slope[0] - difference).abs() < 0.01 * difference.abs().max(0.1), "{r}: {slope:?}, {difference}");
+            assert!(slope[1].abs() < 1e-3 && (slope[2] - 2.0 * slope[0]).abs() < 1e-2 * slope[0].abs().max(0.1));
+        }
+        assert_eq!(curve.at(0.01).0, curve.at(0.03).0);
+        assert_eq!(curve.at(0.01).1, [0.0; 3]);
+    }
+}
