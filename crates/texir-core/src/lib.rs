@@ -10,6 +10,7 @@ pub mod camera;
 pub mod capture;
 pub mod cpu;
 pub mod demo;
+pub mod diffuse;
 pub mod error;
 pub mod eval;
 pub mod fit;

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::backend::RoughnessGradient;
+use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 
 /// Largest side of the atlas, texels: beyond it, no graphics card holds the texture.
@@ -63,10 +64,50 @@ pub struct FullSettings {
     pub cosine_samples: u32,
     /// and to the light sources.
     pub light_samples: u32,
+    /// How diffuse radiance depends on the direction to the camera.
+    pub diffuse: DiffuseModel,
     /// Albedo by least squares.
     pub albedo: AlbedoSettings,
     /// Roughness by a scan.
     pub roughness: RoughnessSettings,
+    /// Few colours per segment.
+    pub palette: PaletteSettings,
+}
+
+/// Roughness that varies within a surface: blocks of the atlas, halving.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LocalSettings {
+    /// Edge of the largest blocks, metres.
+    pub largest: f32,
+    /// Edge of the smallest blocks, metres.
+    pub smallest: f32,
+    /// Pull of a block on those in it.
+    pub pull: f32,
+    /// Pixels that a block must have to be believed half.
+    pub pixels: f32,
+}
+
+impl Default for LocalSettings {
+    fn default() -> Self {
+        Self { largest: 1.0, smallest: 0.2, pull: 0.01, pixels: 30.0 }
+    }
+}
+
+/// The prior that segments are painted in few colours.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PaletteSettings {
+    /// How far albedo is drawn to the nearest colour of its segment: 0 not at all, 1 all the way.
+    pub strength: f32,
+    /// Width of the kernel in ln a: colours that differ less are one.
+    pub bandwidth: f32,
+    /// Distance in ln a at which the pull has fallen to 61 %.
+    pub reach: f32,
+    /// Colours of a segment, at most.
+    pub colours: usize,
+    /// Share of a segment's texels that a colour must have.
+    pub least_share: f32,
 }
 
 /// Albedo by robust least squares.
@@ -109,6 +150,12 @@ pub struct RoughnessSettings {
     pub room_pull: f32,
     /// Pull of a class in a room on its segments.
     pub segment_pull: f32,
+    /// Pull of a segment on each of its colours,
+    pub colour_pull: f32,
+    /// which must have this many pixels to be believed half.
+    pub colour_pixels: f32,
+    /// Within colours.
+    pub local: LocalSettings,
 }
 
 /// Adam and its schedule.
@@ -204,12 +251,20 @@ impl Default for FitSettings {
 impl Default for FullSettings {
     fn default() -> Self {
         Self {
-            lobe_samples: 2,
+            lobe_samples: 4,
             cosine_samples: 2,
-            light_samples: 6,
+            light_samples: 8,
+            diffuse: DiffuseModel::default(),
             albedo: AlbedoSettings::default(),
             roughness: RoughnessSettings::default(),
+            palette: PaletteSettings::default(),
         }
+    }
+}
+
+impl Default for PaletteSettings {
+    fn default() -> Self {
+        Self { strength: 0.8, bandwidth: 0.08, reach: 0.3, colours: 6, least_share: 0.02 }
     }
 }
 
@@ -238,6 +293,9 @@ impl Default for RoughnessSettings {
             class_pull: 0.003,
             room_pull: 0.001,
             segment_pull: 0.001,
+            colour_pull: 0.03,
+            colour_pixels: 100.0,
+            local: LocalSettings::default(),
         }
     }
 }

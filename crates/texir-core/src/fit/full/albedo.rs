@@ -1,6 +1,6 @@
-//! Albedo as one sparse, robust least-squares problem over all views, for given specular radiance.
+//! Albedo as one sparse, robust least-squares problem over all views, for given roughness.
 //!
-//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/E_p, with E_p = Σ w_t E_t; both sides are albedos. Its weight is
+//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's factor and E_p = Σ w_t E_t; both sides are albedos. Its weight is
 //! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Neighbours in a
 //! segment are drawn together by a Cauchy loss as well, so that edges survive, and every texel weakly to its segment's
 //! mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs (iteratively
@@ -11,12 +11,23 @@ use rayon::prelude::*;
 
 use super::neighbours::{NONE, Neighbours};
 use super::observations::Observations;
-use crate::fit::settings::AlbedoSettings;
+use super::palette::Palettes;
+use crate::diffuse::DiffuseModel;
+use crate::fit::settings::{AlbedoSettings, PaletteSettings};
+use crate::specular_table::node;
 
 /// Items per task of a parallel loop.
 const BLOCK: usize = 4096;
 
-/// The problem, apart from the specular radiance.
+/// The roughness that albedo is sought for.
+pub enum Roughness<'a> {
+    /// That of one node everywhere.
+    Node(usize),
+    /// One for each pixel.
+    PerPixel(&'a [f32]),
+}
+
+/// The problem, apart from roughness.
 pub struct AlbedoProblem<'a> {
     /// The data.
     pub seen: &'a Observations,
@@ -26,6 +37,8 @@ pub struct AlbedoProblem<'a> {
     pub neighbours: &'a Neighbours,
     /// Segment of each texel, and how many there are.
     pub segment: (&'a [u32], usize),
+    /// How diffuse radiance depends on the direction to the camera.
+    pub diffuse: DiffuseModel,
     /// Weights.
     pub settings: &'a AlbedoSettings,
     /// π/E of each pixel.
@@ -39,9 +52,10 @@ impl<'a> AlbedoProblem<'a> {
         irradiance: &'a [Vec3A],
         neighbours: &'a Neighbours,
         segment: (&'a [u32], usize),
+        diffuse: DiffuseModel,
         settings: &'a AlbedoSettings,
     ) -> Self {
-        let mut problem = Self { seen, irradiance, neighbours, segment, settings, per_irradiance: Vec::new() };
+        let mut problem = Self { seen, irradiance, neighbours, segment, diffuse, settings, per_irradiance: Vec::new() };
         // A pixel in complete darkness says nothing: its weight vanishes with E.
         let bright = irradiance.iter().map(|e| e.max_element()).fold(0.0, f32::max);
         let floor = Vec3A::splat((1e-6 * bright).max(f32::MIN_POSITIVE));
@@ -95,11 +109,20 @@ impl<'a> AlbedoProblem<'a> {
         sums.into_iter().map(|s| if s.1 > 0.0 { mean(s) } else { mean(all) }).collect()
     }
 
-    /// (I − S) π/E: what each pixel says its albedo is.
-    pub fn target(&self, specular: &[Vec3A]) -> Vec<Vec3A> {
-        (self.seen.radiance.par_iter(), specular, &self.per_irradiance)
+    /// (I − S) π/(E d): what each pixel says its albedo is, at the roughness that its surface has. S is the specular
+    /// radiance and d the diffuse model's factor.
+    pub fn target(&self, roughness: &Roughness<'_>) -> Vec<Vec3A> {
+        (0..self.seen.len())
             .into_par_iter()
-            .map(|(i, s, per)| (*i - *s) * *per)
+            .with_min_len(BLOCK)
+            .map(|p| {
+                let (r, specular) = match roughness {
+                    Roughness::Node(k) => (node(*k), self.seen.curves[p].at_node(*k)),
+                    Roughness::PerPixel(r) => (r[p], self.seen.curves[p].at(r[p]).0),
+                };
+                let factor = self.diffuse.factor(self.seen.cosine[p], r);
+                (self.seen.radiance[p] - Vec3A::from(specular)) * self.per_irradiance[p] / factor
+            })
             .collect()
     }
 
@@ -117,15 +140,28 @@ impl<'a> AlbedoProblem<'a> {
         (self.seen_albedo(albedo), target).into_par_iter().map(|(a, target)| a - *target).collect()
     }
 
+    /// The colours of the segments, from the texels that are seen.
+    pub fn palettes(&self, albedo: &[Vec3A], settings: &PaletteSettings) -> Palettes {
+        let seen = |t: usize| !self.seen.columns.row(t).is_empty();
+        Palettes::find(albedo, self.segment.0, self.segment.1, seen, settings)
+    }
+
     /// The noise σ of each pixel, in albedo: `noise` + `share` · I π/E (mean over the channels).
     pub fn noise(&self, share: f32) -> Vec<f32> {
         let noise = |(i, per): (&Vec3A, &Vec3A)| self.settings.noise + share * (*i * *per).element_sum() / 3.0;
         self.seen.radiance.par_iter().zip(&self.per_irradiance).map(noise).collect()
     }
 
-    /// Improves `albedo` for the given specular radiance by `rounds` runs of `iterations` steps of conjugate gradients.
-    pub fn solve(&self, albedo: &mut [Vec3A], specular: &[Vec3A], sigma: &[f32], rounds: u32, iterations: u32) {
-        let target = self.target(specular);
+    /// Improves `albedo` for the given roughness by `rounds` runs of `iterations` steps of conjugate gradients.
+    pub fn solve(
+        &self,
+        albedo: &mut [Vec3A],
+        roughness: &Roughness<'_>,
+        sigma: &[f32],
+        rounds: u32,
+        iterations: u32,
+    ) {
+        let target = self.target(roughness);
         for _ in 0..rounds {
             let residual = self.residual(albedo, &target);
             let base = self.settings.noise;

@@ -4,6 +4,7 @@
 
 pub mod albedo;
 pub mod hierarchy;
+pub mod local;
 pub mod neighbours;
 pub mod observations;
 pub mod palette;
@@ -20,10 +21,11 @@ use crate::capture::View;
 use crate::error::Result;
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
-use albedo::AlbedoProblem;
+use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
 use neighbours::{NONE, Neighbours};
 use observations::{Observations, Observer};
+use palette::Palettes;
 use segments::Segments;
 
 /// Fits the materials. The backend holds the full TBL and its lights.
@@ -42,26 +44,80 @@ pub fn fit(
     let irradiance: Vec<Vec3A> =
         atlas.texels.iter().map(|&t| Vec3A::from(ground.irradiance.data[t as usize])).collect();
     let segment = (&segments.segment[..], segments.count);
-    let problem = AlbedoProblem::new(&seen, &irradiance, &neighbours, segment, &settings.albedo);
+    let problem = AlbedoProblem::new(&seen, &irradiance, &neighbours, segment, settings.diffuse, &settings.albedo);
 
     let mut albedo = problem.start();
     let evidence = scan::scan(&problem, &settings.roughness, &mut albedo, progress)?;
-    let roughness = roughness(&problem, &segments, &evidence, settings);
-
-    let seen_roughness: Vec<f32> = looked_up(&seen, &roughness);
-    let specular: Vec<Vec3A> =
-        (&seen.curves, &seen_roughness).into_par_iter().map(|(c, r)| Vec3A::from(c.at(*r).0)).collect();
+    let by_segment = roughness(&segments, &evidence, settings);
     let sigma = problem.noise(settings.albedo.image_noise);
     let AlbedoSettings { rounds, iterations, .. } = settings.albedo;
-    problem.solve(&mut albedo, &specular, &sigma, rounds, iterations);
 
-    let plain: Vec<[f32; 3]> = albedo.iter().map(|a| a.to_array()).collect();
-    let all = vec![true; plain.len()];
+    let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
+    problem.solve(&mut albedo, &Roughness::PerPixel(&looked_up(&seen, &of_texels)), &sigma, 1, iterations);
+    let palettes = problem.palettes(&albedo, &settings.palette);
+    let roughness = by_colour(&problem, atlas, atlas.typical_texel(&scene.mesh), &palettes, &albedo, &by_segment, &evidence, settings);
+    problem.solve(&mut albedo, &Roughness::PerPixel(&looked_up(&seen, &roughness)), &sigma, rounds, iterations);
+
+    let palettes = problem.palettes(&albedo, &settings.palette);
+    let painted: Vec<Vec3A> = (&albedo, &segments.segment)
+        .into_par_iter()
+        .map(|(a, s)| palettes.drawn(*s, *a, &settings.palette))
+        .collect();
+    // What the images show stays what they show: irradiance takes what albedo gives up.
+    let corrected: Vec<[f32; 3]> = (&irradiance, &albedo, &painted)
+        .into_par_iter()
+        .map(|(e, a, p)| (*e * (*a / p.max(Vec3A::splat(1e-3))).clamp(Vec3A::splat(0.5), Vec3A::splat(2.0))).to_array())
+        .collect();
+    let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
+    let all = vec![true; painted.len()];
     Ok(Materials {
-        albedo: atlas.scatter_padded(&plain, &all, [0.0; 3], bake::PADDING),
+        albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
         roughness: atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
-        irradiance: ground.irradiance.clone(),
+        irradiance: atlas.scatter_padded(&corrected, &all, [0.0; 3], bake::PADDING),
     })
+}
+
+/// Roughness of every texel, by the colours of its segment.
+fn by_colour(
+    problem: &AlbedoProblem<'_>,
+    atlas: &crate::atlas::Atlas,
+    texel_size: f32,
+    palettes: &Palettes,
+    albedo: &[Vec3A],
+    by_segment: &[f32],
+    evidence: &scan::Evidence,
+    settings: &FullSettings,
+) -> Vec<f32> {
+    let s = &settings.roughness;
+    let most = palettes.most() as u32;
+    let colour: Vec<u32> = (problem.segment.0, albedo)
+        .into_par_iter()
+        .map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32)
+        .collect();
+    let heaviest: Vec<u32> = evidence
+        .segment
+        .par_iter()
+        .enumerate()
+        .map(|(p, s)| {
+            let taps = problem.seen.rows.row(p);
+            let heaviest = taps.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
+            heaviest.filter(|_| *s != NONE).map_or(NONE, |tap| tap.texel)
+        })
+        .collect();
+    let group: Vec<u32> =
+        heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
+    let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
+    let level = Level { group: &group, parent: &parent, pull: s.colour_pull, half_believed: s.colour_pixels };
+    let settled = settle(evidence, &level);
+    let surface = local::Surface {
+        width: atlas.width,
+        texels: &atlas.texels,
+        group: &colour,
+        heaviest: &heaviest,
+        texel_size,
+    };
+    let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();
+    local::refine(&surface, evidence, coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
 }
 use crate::fit::settings::AlbedoSettings;
 
@@ -72,9 +128,8 @@ fn looked_up(seen: &Observations, texels: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// Roughness of every texel: everything → class → class in a room → segment.
+/// Roughness of every segment: everything → class → class in a room → segment.
 fn roughness(
-    problem: &AlbedoProblem<'_>,
     segments: &Segments,
     evidence: &scan::Evidence,
     settings: &FullSettings,
@@ -86,7 +141,6 @@ fn roughness(
     let of_pixels = |group: &dyn Fn(usize) -> u32| -> Vec<u32> {
         evidence.segment.iter().map(|&s| if s == NONE { NONE } else { group(some_texel[s as usize]) }).collect()
     };
-    let _ = problem;
     let all = settle(
         evidence,
         &Level { group: &of_pixels(&|_| 0), parent: &[s.start], pull: s.class_pull, half_believed: 0.0 },
@@ -120,5 +174,5 @@ fn roughness(
         evidence,
         &Level { group: &evidence.segment, parent: &parent, pull: s.segment_pull, half_believed: 0.0 },
     );
-    segments.segment.iter().map(|&i| segment[i as usize].min(s.cap)).collect()
+    segment.into_iter().map(|r| r.min(s.cap)).collect()
 }

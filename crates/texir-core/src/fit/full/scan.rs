@@ -7,7 +7,7 @@ use glam::Vec3A;
 use half::f16;
 use rayon::prelude::*;
 
-use super::albedo::AlbedoProblem;
+use super::albedo::{AlbedoProblem, Roughness};
 use super::neighbours::NONE;
 use crate::error::Result;
 use crate::fit::settings::RoughnessSettings;
@@ -18,7 +18,7 @@ use crate::specular_table::{NODES, node};
 pub struct Evidence {
     /// Segment of the pixel, or [`NONE`] for one that sees several, or at too grazing an angle.
     pub segment: Vec<u32>,
-    /// Per pixel and node: ln(1 + (e/2σ)²), without what the segment's grazing term explains.
+    /// Per pixel and node: ln(1 + (e/2σ)²), e without what the segment's grazing term explains.
     pub cost: Vec<[f16; NODES]>,
 }
 
@@ -36,9 +36,9 @@ pub fn scan(
     let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
     for k in (0..NODES).rev() {
         progress.check()?;
-        let specular: Vec<Vec3A> = problem.seen.curves.par_iter().map(|c| Vec3A::from(c.at_node(k))).collect();
-        problem.solve(albedo, &specular, &sigma, 1, settings.iterations);
-        let residual = problem.residual(albedo, &problem.target(&specular));
+        let roughness = Roughness::Node(k);
+        problem.solve(albedo, &roughness, &sigma, 1, settings.iterations);
+        let residual = problem.residual(albedo, &problem.target(&roughness));
         let residual: Vec<f32> = residual.par_iter().map(|e| e.element_sum() / 3.0).collect();
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
         (&mut cost, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(

@@ -14,7 +14,7 @@ use crate::error::Result;
 use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
-use crate::raster::{Gray, Raster, Rgb};
+use crate::raster::{Gray, Rgb};
 use crate::scene::Scene;
 use crate::texture::Pyramid;
 use crate::fit::settings::FitSettings;
