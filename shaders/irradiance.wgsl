@@ -10,6 +10,7 @@
 
 #import scene
 #import hit
+#import light_sampling
 #import rng
 #import sampling
 
@@ -31,14 +32,6 @@ struct IrradianceParams {
     seed: u32,
 }
 
-// One slot of the alias table over the lights: `primitive` with probability `keep`, else `alternative`.
-struct LightSlot {
-    primitive: u32,
-    alternative: u32,
-    keep: f32,
-    pad: f32,
-}
-
 // What was found at a point.
 struct Gathered {
     // The running sum of E.
@@ -49,18 +42,14 @@ struct Gathered {
 
 @group(1) @binding(0) var<uniform> params: IrradianceParams;
 @group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
-@group(1) @binding(2) var<storage, read> light_slots: array<LightSlot>;
-// Per primitive: density per square metre with which the slots draw a point on it.
-@group(1) @binding(3) var<storage, read> light_density: array<f32>;
-@group(1) @binding(4) var<storage, read_write> gathered: array<Gathered>;
+@group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
 
 // L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back; 0 for a miss.
 fn contribution(hit: Intersection, direction: vec3f, cosine: f32) -> vec4f {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
     let normal = primitive_normal(primitive);
     let towards = dot(normal, direction);
-    // Density per area · t² / |cosθ'|.
-    let per_solid_angle = light_density[primitive] * hit.t * hit.t / max(abs(towards) / length(normal), 1e-6);
+    let per_solid_angle = light_pdf(primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
     let light = radiance_at(hit) * (cosine / density);
     return select(vec4f(light, select(0.0, 1.0, towards > 0.0)), vec4f(0.0), hit.primitive == MISS);
@@ -134,21 +123,12 @@ fn gather_lights(
     let point_seed = hash2(own.seed, 1u);
     var sum = vec3f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let scaled = sobol2(s, choice_seed).x * f32(params.slots);
-        let slot = light_slots[min(u32(scaled), params.slots - 1u)];
-        let primitive = select(slot.alternative, slot.primitive, fract(scaled) < slot.keep);
-        // A uniform point on the triangle, by the square-root map.
-        let u = sobol2(s, point_seed);
-        let root = sqrt(u.x);
-        let v0 = bitcast<vec3f>(triangle_word(primitive * 3u).xyz);
-        let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
-        let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
-        let target_point = v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y);
-        let direction = normalize(target_point - own.point.position);
+        let light = light_point(sobol2(s, choice_seed).x, params.slots, sobol2(s, point_seed));
+        let direction = normalize(light.position - own.point.position);
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.
         let hit = closest_hit(own.point.position, direction, select(-1.0, T_FAR, cosine > 0.0));
-        if hit.primitive == primitive {
+        if hit.primitive == light.primitive {
             sum += contribution(hit, direction, cosine).xyz;
         }
     }

@@ -38,6 +38,7 @@ fn every_entry_point_composes_and_validates() {
         "reduce_vjp",
         "shade",
         "shade_vjp",
+        "specular_table",
         "texels",
     ];
     assert_eq!(entries, expected);

@@ -10,12 +10,15 @@ use texir_core::lights::Lights;
 use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
+use texir_core::specular_table::{Curve, STRATA, TableSampling};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::{Footprints, Pyramid};
 
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
-use crate::pass::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
+use crate::pass::{
+    group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, specular_table, texels,
+};
 use crate::scene::{Geometry, Hierarchy, Lighting};
 
 /// The passes in WGSL, for one scene.
@@ -151,6 +154,18 @@ impl Backend for GpuBackend<'_> {
         sized("cotangents of shade_vjp", d_radiance.len(), points.len())?;
         let gpu = self.context.gpu.clone();
         gpu.guarded("shade_vjp", || shade_vjp::run(&mut self.context, points, materials, shaded, d_radiance))
+    }
+
+    fn specular_tables(
+        &mut self,
+        pixels: &[[ShadePoint; STRATA]],
+        sampling: TableSampling,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Curve>> {
+        countable(pixels.len())?;
+        let light = (&self.geometry, lighting_of(&self.lighting)?);
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("specular_table", || specular_table::run(&mut self.context, light, pixels, sampling, progress))
     }
 
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {

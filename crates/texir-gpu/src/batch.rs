@@ -24,11 +24,11 @@ const FIRST_RAYS: f64 = 262_144.0;
 /// How much more than the last dispatch one may hold: an estimate from a tiny one is a guess.
 const GROWTH: f64 = 8.0;
 
-/// Bytes per item of the largest array that batches upload, for the bound on a batch's memory.
-const ITEM_BYTES: u64 = 64;
+/// Bytes per item of the largest array that passes with one ray per item upload.
+const ITEM_BYTES: usize = 64;
 
 /// Memory of a batch's largest array.
-const BATCH_BYTES: u64 = 64 << 20;
+const BATCH_BYTES: usize = 64 << 20;
 
 /// How samples are dealt to threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,10 +118,10 @@ impl Context {
         Ok(())
     }
 
-    /// How many items of `cost` rays each go into the next dispatch.
-    pub fn batch(&self, cost: u32) -> usize {
+    /// How many items of `cost` rays and `bytes` each go into the next dispatch.
+    pub fn batch(&self, cost: u32, bytes: usize) -> usize {
         let items = (self.rays / f64::from(cost.max(1))) as usize;
-        items.clamp(1, (BATCH_BYTES / ITEM_BYTES) as usize)
+        items.clamp(1, BATCH_BYTES / bytes)
     }
 
     /// Runs a pass with one ray per item over `items` items: `dispatch` handles one range of them.
@@ -132,7 +132,7 @@ impl Context {
     ) -> Result<()> {
         let mut first = 0;
         while first < items {
-            let end = items.min(first + self.batch(1));
+            let end = items.min(first + self.batch(1, ITEM_BYTES));
             dispatch(self, first..end)?;
             first = end;
         }
@@ -140,19 +140,19 @@ impl Context {
     }
 
     /// Runs a pass whose threads share an item's samples: `samples` of each technique in turn.
-    pub fn gather<const TECHNIQUES: usize>(
+    pub fn gather<G: Gathering, const TECHNIQUES: usize>(
         &mut self,
         items: usize,
         samples: [u32; TECHNIQUES],
         shape: GatherShape,
         progress: &dyn Progress,
-        steps: &mut impl Gathering,
+        steps: &mut G,
     ) -> Result<()> {
         let span = shape.lanes * shape.rays;
         let longest = samples.into_iter().max().unwrap_or(0).min(span);
         let mut first = 0;
         while first < items {
-            let end = items.min(first + self.batch(longest));
+            let end = items.min(first + self.batch(longest, G::ITEM_BYTES));
             let batch = steps.upload(self, first..end)?;
             for (technique, samples) in samples.into_iter().enumerate() {
                 for sample in (0..samples).step_by(span as usize) {
@@ -177,6 +177,8 @@ impl Context {
 
 /// The steps of a pass that [`Context::gather`] runs.
 pub(crate) trait Gathering {
+    /// Bytes per item of a batch's largest array, for the bound on a batch's memory.
+    const ITEM_BYTES: usize;
     /// What a batch holds on the device.
     type Batch;
     /// Uploads a range of items.

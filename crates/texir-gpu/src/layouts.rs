@@ -15,6 +15,7 @@ use crate::pass::project::ProjectParams;
 use crate::pass::radiance_loss::RadianceLossParams;
 use crate::pass::shade::ShadeParams;
 use crate::pass::shade_vjp::ShadeVjpParams;
+use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::scene::LightSlot;
 use crate::wgsl::{RoughnessVariant, SHADERS, Variant};
@@ -54,6 +55,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ("irradiance", "SurfacePoint", host!(SurfacePoint { position, triangle, normal })),
         ("project", "Projected", host!(Projected { pixel, cosine, distance })),
         ("shade", "ShadePoint", host!(ShadePoint { position, sequence, normal, view, irradiance })),
+        ("specular_table", "ShadePoint", host!(ShadePoint { position, sequence, normal, view, irradiance })),
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
@@ -94,6 +96,22 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ("radiance_loss", "RadianceLossParams", host!(RadianceLossParams { count, share })),
         ("shade", "ShadeParams", host!(ShadeParams { count, first_sample, end_sample, samples, seed })),
         ("shade_vjp", "ShadeVjpParams", host!(ShadeVjpParams { count })),
+        (
+            "specular_table",
+            "SpecularTableParams",
+            host!(SpecularTableParams {
+                count,
+                first_sample,
+                end_sample,
+                lobe_samples,
+                cosine_samples,
+                light_samples,
+                slots,
+                seed,
+                lobes,
+                nodes,
+            }),
+        ),
         (
             "texels",
             "TexelsParams",

@@ -116,7 +116,7 @@ impl Geometry {
     }
 }
 
-/// One slot of the alias table as `irradiance.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
+/// One slot of the alias table as `shared/light_sampling.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct LightSlot {

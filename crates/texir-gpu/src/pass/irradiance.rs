@@ -45,6 +45,7 @@ struct Batch {
 }
 
 impl Gathering for Irradiance<'_> {
+    const ITEM_BYTES: usize = size_of::<SurfacePoint>();
     type Batch = Batch;
 
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {

@@ -10,6 +10,7 @@ pub(crate) mod project;
 pub(crate) mod radiance_loss;
 pub(crate) mod shade;
 pub(crate) mod shade_vjp;
+pub(crate) mod specular_table;
 pub(crate) mod texels;
 
 /// Threads of a workgroup in the passes with one thread per item; their shaders have the same number.

@@ -42,6 +42,7 @@ struct Batch {
 }
 
 impl Gathering for Shade<'_> {
+    const ITEM_BYTES: usize = size_of::<ShadePoint>();
     type Batch = Batch;
 
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {

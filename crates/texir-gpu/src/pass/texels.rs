@@ -38,7 +38,7 @@ pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, width: usize, height: usize) -
         let mut row = 0;
         while row < rows {
             // A candidate costs no more than a ray does.
-            let end = rows.min(row + ctx.batch(CANDIDATES.min(most)).div_ceil(width * TILE));
+            let end = rows.min(row + ctx.batch(CANDIDATES.min(most), size_of::<Hit>()).div_ceil(width * TILE));
             let params = ctx.params(&TexelsParams {
                 width: width as u32,
                 height: height as u32,

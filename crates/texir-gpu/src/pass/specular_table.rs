@@ -1,0 +1,125 @@
+//! Host side of `specular_table.wgsl`.
+
+use std::array::from_fn;
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use texir_core::backend::ShadePoint;
+use texir_core::error::Result;
+use texir_core::progress::Progress;
+use texir_core::specular_table::{Curve, LOBES, NODES, STRATA, TableSampling, node};
+
+use crate::batch::{Context, GatherShape, Gathering};
+use crate::buffer::View;
+use crate::kernel::Kernel;
+use crate::scene::{Geometry, Lighting};
+
+/// How samples are dealt to threads; the shader has the same number of lanes.
+const SHAPE: GatherShape = GatherShape { lanes: 8, rays: 32 };
+
+/// Values of the shader's constant `TECHNIQUE`: lobes, cosine, lights.
+const TECHNIQUES: [u32; 3] = [0, 1, 2];
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct SpecularTableParams {
+    pub count: u32,
+    pub first_sample: u32,
+    pub end_sample: u32,
+    pub lobe_samples: u32,
+    pub cosine_samples: u32,
+    pub light_samples: u32,
+    pub slots: u32,
+    pub seed: u32,
+    pub lobes: [f32; 8],
+    pub nodes: [f32; NODES],
+}
+
+/// Sums over samples at the nodes of a pixel.
+type Sums = [[f32; 3]; NODES];
+
+struct SpecularTable<'a> {
+    kernels: [Arc<Kernel>; TECHNIQUES.len()],
+    geometry: &'a Geometry,
+    lighting: &'a Lighting,
+    pixels: &'a [[ShadePoint; STRATA]],
+    sampling: TableSampling,
+    out: Vec<Curve>,
+}
+
+/// Pixels and running sums of a batch.
+struct Batch {
+    pixels: View,
+    tables: View,
+}
+
+impl Gathering for SpecularTable<'_> {
+    const ITEM_BYTES: usize = size_of::<Sums>();
+    type Batch = Batch;
+
+    fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
+        let tables = ctx.pool.reserve(&ctx.gpu, "specular tables", (items.len() * size_of::<Sums>()) as u64)?;
+        tables.clear(&ctx.gpu);
+        Ok(Batch { pixels: ctx.pool.upload(&ctx.gpu, "strata", &self.pixels[items])?, tables })
+    }
+
+    fn dispatch(
+        &mut self,
+        ctx: &mut Context,
+        batch: &Batch,
+        technique: usize,
+        items: Range<usize>,
+        samples: Range<u32>,
+    ) -> Result<()> {
+        let params = ctx.params(&SpecularTableParams {
+            count: items.len() as u32,
+            first_sample: samples.start,
+            end_sample: samples.end,
+            lobe_samples: self.sampling.lobe,
+            cosine_samples: self.sampling.cosine,
+            light_samples: self.sampling.light,
+            slots: self.lighting.slots,
+            seed: self.sampling.seed,
+            lobes: from_fn(|lobe| LOBES.get(lobe).copied().unwrap_or(0.0)),
+            nodes: from_fn(node),
+        });
+        let own = [
+            ("params", params.binding()),
+            ("pixels", batch.pixels.binding()),
+            ("light_slots", self.lighting.light_slots.binding()),
+            ("light_density", self.lighting.light_density.binding()),
+            ("tables", batch.tables.binding()),
+        ];
+        let kernel = &self.kernels[technique];
+        let groups = kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let workgroups = items.len().div_ceil(SHAPE.items_per_workgroup());
+        let rays = items.len() as u64 * samples.len() as u64;
+        ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
+    }
+
+    fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {
+        let mean = |sums: Sums| Curve::new(sums.map(|sum| sum.map(|c| c / STRATA as f32)));
+        self.out.extend(ctx.pool.download::<Sums>(&ctx.gpu, &batch.tables, count)?.into_iter().map(mean));
+        Ok(())
+    }
+}
+
+/// See [`texir_core::backend::Backend::specular_tables`].
+pub(crate) fn run(
+    ctx: &mut Context,
+    (geometry, lighting): (&Geometry, &Lighting),
+    pixels: &[[ShadePoint; STRATA]],
+    sampling: TableSampling,
+    progress: &dyn Progress,
+) -> Result<Vec<Curve>> {
+    // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
+    let sampling = TableSampling { light: if lighting.slots == 0 { 0 } else { sampling.light }, ..sampling };
+    let [lobes, cosine, lights] =
+        TECHNIQUES.map(|t| ctx.kernel("specular_table", "specular_table", Some(("TECHNIQUE", t))));
+    let samples = [LOBES.len() as u32 * sampling.lobe, sampling.cosine, sampling.light].map(|n| STRATA as u32 * n);
+    let out = Vec::with_capacity(pixels.len());
+    let mut pass = SpecularTable { kernels: [lobes?, cosine?, lights?], geometry, lighting, pixels, sampling, out };
+    ctx.gather(pixels.len(), samples, SHAPE, progress, &mut pass)?;
+    Ok(pass.out)
+}

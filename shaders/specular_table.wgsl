@@ -1,0 +1,168 @@
+// Specular tables: S(r_k) = Σ L f_s(r_k) nl / Σ_j n_j p_j at every node k, by the balance heuristic (Veach and Guibas
+// 1995) over GGX lobes, the cosine and the lights. Every node uses every sample (texir-core's specular_table.rs).
+//
+// LANES threads share a pixel. In each round they trace a sample each and leave what the nodes need of it in workgroup
+// memory; then each adds all of the pixel's samples of the round to the nodes that are its own, in the order of their
+// index. So a thread keeps NODES / LANES sums, not NODES, and no sum depends on scheduling. Dispatches add up in `tables`,
+// which the host clears; it also bounds a thread's rays, as in irradiance.wgsl. Reads 544 and writes 288 bytes per pixel
+// and dispatch.
+
+#import scene
+#import light_sampling
+#import rng
+#import lobe
+#import shading
+
+// As in texir-core's specular_table.rs: roughnesses tabulated, points of a pixel that its rays leave from, lobes.
+const NODES: u32 = 24u;
+const STRATA: u32 = 4u;
+const LOBES: u32 = 5u;
+// Threads per pixel: a divisor of NODES, of which 64 is a multiple.
+const LANES: u32 = 8u;
+
+// What the samples of a pipeline are drawn from: a constant, so that none pays for the directions of another.
+override TECHNIQUE: u32 = 0u;
+const FROM_LOBES: u32 = 0u;
+const FROM_COSINE: u32 = 1u;
+const FROM_LIGHTS: u32 = 2u;
+
+struct SpecularTableParams {
+    // Pixels of this dispatch.
+    count: u32,
+    // Samples of this dispatch: of all lobes one after another, or of the cosine, or of the lights.
+    first_sample: u32,
+    end_sample: u32,
+    // n_j of each lobe, of the cosine and of the lights, per stratum.
+    lobe_samples: u32,
+    cosine_samples: u32,
+    light_samples: u32,
+    // Entries of `light_slots`.
+    slots: u32,
+    seed: u32,
+    // Roughnesses of the LOBES, then unused.
+    lobes: array<vec4f, 2>,
+    // Roughnesses of the NODES.
+    nodes: array<vec4f, 6>,
+}
+
+@group(1) @binding(0) var<uniform> params: SpecularTableParams;
+@group(1) @binding(1) var<storage, read> pixels: array<array<ShadePoint, STRATA>>;
+// Sums over samples, linear RGB by node.
+@group(1) @binding(2) var<storage, read_write> tables: array<array<array<f32, 3>, NODES>>;
+
+// A direction to trace.
+struct Aim {
+    direction: vec3f,
+    // The primitive that it must reach to count, MISS for any.
+    primitive: u32,
+}
+
+// Sample `s` of the dispatch's technique, from one of the pixel's points.
+fn aim(point: ShadePoint, frame: Frame, s: u32, seed: u32) -> Aim {
+    if TECHNIQUE == FROM_LIGHTS {
+        let sequence = hash2(seed, LOBES + 1u);
+        let light = light_point(sobol2(s, hash2(sequence, 1u)).x, params.slots, sobol2(s, sequence));
+        return Aim(normalize(light.position - point.position), light.primitive);
+    }
+    if TECHNIQUE == FROM_COSINE {
+        return Aim(world_from_frame(frame, cosine_direction(sobol2(s, hash2(seed, LOBES)))), MISS);
+    }
+    let lobe = s / (STRATA * params.lobe_samples);
+    let u = sobol2(s % (STRATA * params.lobe_samples), hash2(seed, lobe));
+    return Aim(sample_lobe(frame, point.view, lobe_roughness(lobe), u).direction, MISS);
+}
+
+// Which of the pixel's points sample `s` leaves from.
+fn stratum_of(s: u32) -> u32 {
+    switch TECHNIQUE {
+        case FROM_LIGHTS: {
+            return s / params.light_samples;
+        }
+        case FROM_COSINE: {
+            return s / params.cosine_samples;
+        }
+        default: {
+            return s / params.lobe_samples % STRATA;
+        }
+    }
+}
+
+fn lobe_roughness(lobe: u32) -> f32 {
+    return params.lobes[lobe / 4u][lobe % 4u];
+}
+
+fn node_roughness(node: u32) -> f32 {
+    return params.nodes[node / 4u][node % 4u];
+}
+
+// What all nodes need of a sample: L F nl / Σ_j n_j p_j, sin²θ_h, n·l and n·v.
+struct Sample {
+    light: vec3f,
+    sin2: f32,
+    nl: f32,
+    nv: f32,
+}
+
+// Traces a sample; one that does not count has no light.
+fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
+    let half = normalize(aim.direction + point.view);
+    let across = cross(point.normal, half);
+    let sin2 = dot(across, across);
+    let nl = dot(point.normal, aim.direction);
+    let nv = dot(point.normal, point.view);
+    let nh = saturate(dot(point.normal, half));
+    let c = Cosines(min(nl, 1.0), min(nv, 1.0), nh, clamp(dot(point.view, half), 1e-6, 1.0));
+    // A negative limit makes the traversal end at once for what does not count anyway.
+    let hit = closest_hit(point.position, aim.direction, select(-1.0, T_FAR, present && nl > 0.0 && nv > 0.0));
+    let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
+    var lobes = 0.0;
+    for (var lobe = 0u; lobe < LOBES; lobe++) {
+        lobes += distribution_at(sin2, lobe_roughness(lobe));
+    }
+    let density = f32(params.lobe_samples) * lobes * c.nh / (4.0 * c.vh)
+        + f32(params.cosine_samples) * c.nl * INV_PI
+        + f32(params.light_samples)
+            * light_pdf(primitive, hit.t, dot(normalize(primitive_normal(primitive)), aim.direction));
+    let x = fresnel_weight(c.vh);
+    let light = radiance_at(hit) * ((DIELECTRIC_F0 * (1.0 - x) + x) * c.nl / density);
+    let counts = hit.primitive != MISS && (aim.primitive == MISS || aim.primitive == hit.primitive);
+    return Sample(select(vec3f(0.0), light, counts), sin2, c.nl, c.nv);
+}
+
+var<workgroup> samples: array<Sample, 64>;
+
+@compute @workgroup_size(64)
+fn specular_table(
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let lane = thread % LANES;
+    let pixel = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let exists = pixel < params.count;
+    let item = min(pixel, params.count - 1u);
+    let seed = hash2(params.seed, pixels[item][0].sequence);
+    // The thread's own nodes are every LANES-th.
+    var sums: array<vec3f, NODES / LANES>;
+    for (var first = params.first_sample; first < params.end_sample; first += LANES) {
+        let s = min(first + lane, params.end_sample - 1u);
+        let point = pixels[item][stratum_of(s)];
+        samples[thread] = traced(point, aim(point, frame_of(point.normal), s, seed), exists && s == first + lane);
+        workgroupBarrier();
+        for (var k = 0u; k < NODES / LANES; k++) {
+            let r = node_roughness(k * LANES + lane);
+            for (var i = 0u; i < LANES; i++) {
+                let drawn = samples[thread - lane + i];
+                // f_s / F = D g(nl) g(nv) / 4.
+                sums[k] += drawn.light
+                    * (0.25 * distribution_at(drawn.sin2, r) * masking(drawn.nl, r) * masking(drawn.nv, r));
+            }
+        }
+        workgroupBarrier();
+    }
+    for (var k = 0u; exists && k < NODES / LANES; k++) {
+        for (var c = 0u; c < 3u; c++) {
+            tables[item][k * LANES + lane][c] += sums[k][c];
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! Specular tables: the twin against quadrature and against shading, the WGSL against the twin.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::f64::consts::{PI, TAU};
+
+use glam::Vec3;
+use texir_core::backend::{Backend, RoughnessGradient, Sampling, ShadePoint};
+use texir_core::cpu::CpuBackend;
+use texir_core::cpu::shade::{MaterialIn, shade};
+use texir_core::cpu::specular_table::specular_table;
+use texir_core::cpu::trace::{Exhaustive, Lighting};
+use texir_core::lights::{AliasSlot, Lights};
+use texir_core::mesh::Mesh;
+use texir_core::progress::Silent;
+use texir_core::raster::Rgb;
+use texir_core::real::V3;
+use texir_core::scene::Scene;
+use texir_core::specular_table::{Curve, NODES, STRATA, TableSampling, node};
+use texir_gpu::GpuBackend;
+use texir_tests::compare::Tolerance;
+use texir_tests::{gpu, scenes};
+
+/// A closed box of 2 × 2 × 1 m and a lamp of 10 × 10 cm below its ceiling, the last two triangles.
+fn box_with_lamp() -> Mesh {
+    let mut b = scenes::Builder::default();
+    b.cuboid(Vec3::new(-1.0, -1.0, 0.0), Vec3::new(1.0, 1.0, 1.0), true);
+    let corner = |x: f32, y: f32| Vec3::new(0.35 + x, 0.1 + y, 0.9);
+    b.quad([corner(0.0, 0.0), corner(0.0, 0.1), corner(0.1, 0.1), corner(0.1, 0.0)], [-Vec3::Z; 4]);
+    b.finish()
+}
+
+/// The lamp's two triangles, drawn with equal probability.
+fn lamp(mesh: &Mesh) -> Lights {
+    let first = mesh.triangles.len() as u32 - 2;
+    let mut lights = Lights::none(mesh);
+    for triangle in [first, first + 1] {
+        lights.slots.push(AliasSlot { triangle, alias: triangle, keep: 1.0, pad: 0.0 });
+        lights.density[triangle as usize] = 100.0;
+    }
+    lights
+}
+
+/// Radiance 0.1 everywhere but on the lamp, whose chart is the seventh of the atlas's first row of twelve.
+fn lamp_light() -> Rgb {
+    let mut light = Rgb::filled(48, 48, [0.1; 3]);
+    for y in 0..4 {
+        light.data[y * 48 + 24..y * 48 + 28].fill([50.0, 30.0, 10.0]);
+    }
+    light
+}
+
+/// A pixel of the floor: its strata lie within a few millimetres.
+fn floor_pixel(view: Vec3, sequence: u32) -> [ShadePoint; STRATA] {
+    std::array::from_fn(|stratum| ShadePoint {
+        position: [0.003 * (stratum % 2) as f32, 0.003 * (stratum / 2) as f32, 1e-4],
+        sequence: sequence + stratum as u32,
+        normal: [0.0, 0.0, 1.0],
+        pad0: 0.0,
+        view: view.normalize().to_array(),
+        pad1: 0.0,
+        irradiance: [0.0; 3],
+        pad2: 0.0,
+    })
+}
+
+fn from_above(nv: f32) -> Vec3 {
+    Vec3::new(-(1.0 - nv * nv).sqrt(), 0.0, nv)
+}
+
+/// ∫ f_s nl dω of a dielectric by the midpoint rule around the mirrored view, whose polar angle is πs⁴: rings crowd where
+/// the lobe is sharp. Written out from the BRDF's definition, apart from the library.
+fn albedo(nv: f64, r: f64) -> f64 {
+    const RINGS: usize = 1500;
+    const SECTORS: usize = 256;
+    let sv = (1.0 - nv * nv).sqrt();
+    let (a2, k) = (r.powi(4), (r + 1.0).powi(2) / 8.0);
+    let mut sum = 0.0;
+    for ring in 0..RINGS {
+        let s = (ring as f64 + 0.5) / RINGS as f64;
+        let theta = PI * s.powi(4);
+        let cell = 4.0 * PI * s.powi(3) / RINGS as f64 * theta.sin() * TAU / SECTORS as f64;
+        for sector in 0..SECTORS {
+            let phi = TAU * (sector as f64 + 0.5) / SECTORS as f64;
+            // The view is (−sv, 0, nv), the mirrored one (sv, 0, nv), and (nv, 0, −sv) across it.
+            let (x, y, z) = (theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos());
+            let l = [sv * z + nv * x, y, nv * z - sv * x];
+            if l[2] <= 0.0 {
+                continue;
+            }
+            let h = [l[0] - sv, l[1], l[2] + nv];
+            let length = (h[0] * h[0] + h[1] * h[1] + h[2] * h[2]).sqrt();
+            let vh = (h[2] * nv - h[0] * sv) / length;
+            let sin2 = (h[0] * h[0] + h[1] * h[1]) / (length * length);
+            let d = a2 / (PI * (a2 + sin2 * (1.0 - a2)).powi(2));
+            let g = l[2] / (l[2] * (1.0 - k) + k) * nv / (nv * (1.0 - k) + k);
+            let f = 0.04 + 0.96 * 2f64.powf((-5.55472 * vh - 6.98316) * vh);
+            sum += cell * d * f * g / (4.0 * nv);
+        }
+    }
+    sum
+}
+
+fn red(table: [V3<f64>; NODES]) -> Vec<f64> {
+    table.iter().map(|n| n.0[0]).collect()
+}
+
+#[test]
+fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
+    let mesh = box_with_lamp();
+    let (one, exact) = (Rgb::filled(4, 4, [1.0; 3]), Exhaustive(&mesh));
+    let lighting = Lighting { tracer: &exact, radiance: &one };
+    let noise = Tolerance { absolute: 0.0, relative: 0.01 };
+    for nv in [0.3, 0.5, 0.8, 1.0] {
+        let expected: Vec<f64> = (0..NODES).map(|k| albedo(f64::from(nv), f64::from(node(k)))).collect();
+        let pixel = floor_pixel(from_above(nv), 5);
+        for (cosine, light, lights) in [(256, 0, Lights::none(&mesh)), (64, 64, lamp(&mesh))] {
+            let sampling = TableSampling { lobe: 256, cosine, light, seed: 1 };
+            let got = red(specular_table(&lighting, &lights, &pixel, sampling));
+            noise.check(&format!("albedo at nv {nv}"), &got, &expected);
+            // Negative control: the lobe of a node further on is another one.
+            assert!(noise.failures(&got[6..], &expected[..NODES - 6]).len() > NODES / 4);
+        }
+    }
+}
+
+#[test]
+fn a_small_lamp_shines_as_in_shading_at_every_node() {
+    let mesh = box_with_lamp();
+    let (light, exact) = (lamp_light(), Exhaustive(&mesh));
+    let lighting = Lighting { tracer: &exact, radiance: &light };
+    // Mirrors the lamp, so that sharp lobes see it.
+    let pixel = floor_pixel(Vec3::new(-0.4, -0.15, 0.9), 5);
+    let ks = [4, 10, 16, NODES - 1];
+    let expected: Vec<f64> = (ks.iter())
+        .map(|&k| {
+            let black = MaterialIn { albedo: V3::zero(), roughness: f64::from(node(k)), metallic: 0.0 };
+            let of = |p: &ShadePoint| {
+                let sampling = Sampling { samples: 1 << 17, seed: 2 };
+                shade(&lighting, p, &black, sampling, RoughnessGradient::Exact).radiance.0[0]
+            };
+            pixel.iter().map(of).sum::<f64>() / STRATA as f64
+        })
+        .collect();
+    let noise = Tolerance { absolute: 0.0, relative: 0.03 };
+    let table = |lights: &Lights, light| {
+        let sampling = TableSampling { lobe: 8192, cosine: 8192, light, seed: 1 };
+        let all = red(specular_table(&lighting, lights, &pixel, sampling));
+        ks.map(|k| all[k])
+    };
+    let lights = lamp(&mesh);
+    noise.check("without light samples", &table(&Lights::none(&mesh), 0), &expected);
+    noise.check("with light samples", &table(&lights, 256), &expected);
+    // Negative control: light samples whose density is left out of the sum are too bright.
+    let uncounted = Lights { density: Lights::none(&mesh).density, ..lights };
+    assert_eq!(noise.failures(&table(&uncounted, 256), &expected).len(), ks.len());
+}
+
+/// The furnished room, flat: about an interpolated normal, some rays enter the surface that they start on.
+fn room() -> Scene {
+    let mut mesh = scenes::furnished_room();
+    mesh.flat_normals();
+    Scene::new(mesh).unwrap()
+}
+
+/// Pixels of a panorama of the room, each of 2 × 2 strata.
+fn pixels(scene: &Scene, backend: &mut dyn Backend, step: usize) -> Vec<[ShadePoint; STRATA]> {
+    let camera = scenes::cameras()[0].supersampled(2);
+    let hits = backend.primary(&camera).unwrap();
+    let point = |pixel: usize| ShadePoint::new(&scene.mesh, &camera, pixel as u32, &hits[pixel], [0.0; 3]);
+    (0..hits.len() / STRATA)
+        .step_by(step)
+        .map(|i| {
+            let (x, y) = (2 * i % camera.width, 2 * (2 * i / camera.width));
+            std::array::from_fn(|k| point((y + k / 2) * camera.width + x + k % 2))
+        })
+        .collect()
+}
+
+fn flat(curves: &[Curve]) -> Vec<f64> {
+    curves.iter().flat_map(|c| c.nodes).flatten().map(|c| f64::from(c.to_f32())).collect()
+}
+
+/// Half floats, and a ray within rounding of an edge or a texel's border sees another texel.
+const HALF: Tolerance = Tolerance { absolute: 1e-3, relative: 3e-3 };
+
+#[test]
+fn wgsl_and_twin_agree() {
+    let scene = room();
+    let radiance = scenes::smooth_light(192);
+    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let lights = scenes::lights(&mut backend, &scene, &radiance);
+    assert!(!lights.slots.is_empty());
+    let pixels = pixels(&scene, &mut backend, 41);
+    let exact = Exhaustive(&scene.mesh);
+    let lighting = Lighting { tracer: &exact, radiance: &radiance };
+    for lights in [lights, Lights::none(&scene.mesh)] {
+        backend.set_tbl(&radiance, &lights).unwrap();
+        for (lobe, cosine, light) in [(2, 2, 6), (1, 0, 3), (0, 3, 0), (3, 5, 7)] {
+            let sampling = TableSampling { lobe, cosine, light, seed: 11 };
+            let got = flat(&backend.specular_tables(&pixels, sampling, &Silent).unwrap());
+            let twin = |p| specular_table::<f64, _>(&lighting, &lights, p, sampling);
+            let expected: Vec<f64> = pixels.iter().flat_map(twin).flat_map(|n| n.0).collect();
+            HALF.check(&format!("tables by {sampling:?}"), &got, &expected);
+            // Negative control: another seed draws other samples.
+            let other = backend.specular_tables(&pixels, TableSampling { seed: 12, ..sampling }, &Silent).unwrap();
+            assert!(HALF.failures(&flat(&other), &expected).len() > pixels.len() * NODES);
+        }
+        let none = TableSampling { lobe: 0, cosine: 0, light: 0, seed: 11 };
+        assert!(flat(&backend.specular_tables(&pixels, none, &Silent).unwrap()).iter().all(|&c| c == 0.0));
+    }
+}
+
+#[test]
+fn how_work_is_cut_changes_nothing() {
+    let scene = room();
+    let radiance = scenes::smooth_light(192);
+    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let lights = scenes::lights(&mut backend, &scene, &radiance);
+    backend.set_tbl(&radiance, &lights).unwrap();
+    let pixels = pixels(&scene, &mut backend, 7);
+    let sampling = TableSampling { lobe: 2, cosine: 2, light: 6, seed: 3 };
+    let whole = backend.specular_tables(&pixels, sampling, &Silent).unwrap();
+    let pieces = pixels.chunks(53).flat_map(|p| backend.specular_tables(p, sampling, &Silent).unwrap());
+    assert!(whole == pieces.collect::<Vec<_>>());
+    // More samples than one dispatch takes: all of them count.
+    let sampling = TableSampling { lobe: 50, cosine: 130, light: 75, seed: 3 };
+    let mut cpu = CpuBackend::new(&scene);
+    cpu.set_tbl(&radiance, &lights).unwrap();
+    let expected = flat(&cpu.specular_tables(&pixels[..40], sampling, &Silent).unwrap());
+    HALF.check("many samples", &flat(&backend.specular_tables(&pixels[..40], sampling, &Silent).unwrap()), &expected);
+}
