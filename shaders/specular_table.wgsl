@@ -4,7 +4,7 @@
 // LANES threads share a pixel. In each round they trace a sample each and leave what the nodes need of it in workgroup
 // memory; then each adds all of the pixel's samples of the round to the nodes that are its own, in the order of their
 // index. So a thread keeps NODES / LANES sums, not NODES, and no sum depends on scheduling. Dispatches add up in `tables`,
-// which the host clears; it also bounds a thread's rays, as in irradiance.wgsl. Reads 544 and writes 288 bytes per pixel
+// which the host clears; it also bounds a thread's rays, as in irradiance.wgsl. Reads 640 and writes 384 bytes per pixel
 // and dispatch.
 
 #import scene
@@ -14,7 +14,7 @@
 #import shading
 
 // As in texir-core's specular_table.rs: roughnesses tabulated, points of a pixel that its rays leave from, lobes.
-const NODES: u32 = 24u;
+const NODES: u32 = 32u;
 const STRATA: u32 = 4u;
 const LOBES: u32 = 5u;
 // Threads per pixel: a divisor of NODES, of which 64 is a multiple.
@@ -42,7 +42,7 @@ struct SpecularTableParams {
     // Roughnesses of the LOBES, then unused.
     lobes: array<vec4f, 2>,
     // Roughnesses of the NODES.
-    nodes: array<vec4f, 6>,
+    nodes: array<vec4f, 8>,
 }
 
 @group(1) @binding(0) var<uniform> params: SpecularTableParams;

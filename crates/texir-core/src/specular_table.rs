@@ -9,7 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use half::f16;
 
 /// Roughnesses tabulated.
-pub const NODES: usize = 24;
+pub const NODES: usize = 32;
 /// The smallest and the largest roughness tabulated.
 pub const RANGE: [f32; 2] = [0.03, 1.0];
 /// Rays of a pixel leave from this many points of it: images are box-filtered.

@@ -153,14 +153,7 @@ impl<'a> AlbedoProblem<'a> {
     }
 
     /// Improves `albedo` for the given roughness by `rounds` runs of `iterations` steps of conjugate gradients.
-    pub fn solve(
-        &self,
-        albedo: &mut [Vec3A],
-        roughness: &Roughness<'_>,
-        sigma: &[f32],
-        rounds: u32,
-        iterations: u32,
-    ) {
+    pub fn solve(&self, albedo: &mut [Vec3A], roughness: &Roughness<'_>, sigma: &[f32], rounds: u32, iterations: u32) {
         let target = self.target(roughness);
         for _ in 0..rounds {
             let residual = self.residual(albedo, &target);

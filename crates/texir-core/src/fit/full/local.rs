@@ -58,13 +58,9 @@ fn one_level(
     }
     let parent: Vec<f32> = blocks.values().map(|(sum, count)| (sum / f64::from(*count)).exp() as f32).collect();
     let number: BTreeMap<(i32, i32, u32), u32> = blocks.keys().enumerate().map(|(i, k)| (*k, i as u32)).collect();
-    let group: Vec<u32> = surface
-        .heaviest
-        .par_iter()
-        .map(|&t| if t == NONE { NONE } else { number[&place(t as usize)] })
-        .collect();
-    let level =
-        Level { group: &group, parent: &parent, pull: settings.pull, half_believed: settings.pixels };
+    let group: Vec<u32> =
+        surface.heaviest.par_iter().map(|&t| if t == NONE { NONE } else { number[&place(t as usize)] }).collect();
+    let level = Level { group: &group, parent: &parent, pull: settings.pull, half_believed: settings.pixels };
     let settled = settle(evidence, &level);
     let change: Vec<f32> = settled.iter().zip(&parent).map(|(r, p)| (r / p).ln()).collect();
     // The change is blended between block centres, so that blocks are not seen.

@@ -55,14 +55,21 @@ pub fn fit(
     let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
     problem.solve(&mut albedo, &Roughness::PerPixel(&looked_up(&seen, &of_texels)), &sigma, 1, iterations);
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let roughness = by_colour(&problem, atlas, atlas.typical_texel(&scene.mesh), &palettes, &albedo, &by_segment, &evidence, settings);
+    let roughness = by_colour(
+        &problem,
+        atlas,
+        atlas.typical_texel(&scene.mesh),
+        &palettes,
+        &albedo,
+        &by_segment,
+        &evidence,
+        settings,
+    );
     problem.solve(&mut albedo, &Roughness::PerPixel(&looked_up(&seen, &roughness)), &sigma, rounds, iterations);
 
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let painted: Vec<Vec3A> = (&albedo, &segments.segment)
-        .into_par_iter()
-        .map(|(a, s)| palettes.drawn(*s, *a, &settings.palette))
-        .collect();
+    let painted: Vec<Vec3A> =
+        (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
     // What the images show stays what they show: irradiance takes what albedo gives up.
     let corrected: Vec<[f32; 3]> = (&irradiance, &albedo, &painted)
         .into_par_iter()
@@ -90,10 +97,8 @@ fn by_colour(
 ) -> Vec<f32> {
     let s = &settings.roughness;
     let most = palettes.most() as u32;
-    let colour: Vec<u32> = (problem.segment.0, albedo)
-        .into_par_iter()
-        .map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32)
-        .collect();
+    let colour: Vec<u32> =
+        (problem.segment.0, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
     let heaviest: Vec<u32> = evidence
         .segment
         .par_iter()
@@ -104,18 +109,12 @@ fn by_colour(
             heaviest.filter(|_| *s != NONE).map_or(NONE, |tap| tap.texel)
         })
         .collect();
-    let group: Vec<u32> =
-        heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
+    let group: Vec<u32> = heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
     let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
     let level = Level { group: &group, parent: &parent, pull: s.colour_pull, half_believed: s.colour_pixels };
     let settled = settle(evidence, &level);
-    let surface = local::Surface {
-        width: atlas.width,
-        texels: &atlas.texels,
-        group: &colour,
-        heaviest: &heaviest,
-        texel_size,
-    };
+    let surface =
+        local::Surface { width: atlas.width, texels: &atlas.texels, group: &colour, heaviest: &heaviest, texel_size };
     let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();
     local::refine(&surface, evidence, coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
 }
@@ -129,11 +128,7 @@ fn looked_up(seen: &Observations, texels: &[f32]) -> Vec<f32> {
 }
 
 /// Roughness of every segment: everything → class → class in a room → segment.
-fn roughness(
-    segments: &Segments,
-    evidence: &scan::Evidence,
-    settings: &FullSettings,
-) -> Vec<f32> {
+fn roughness(segments: &Segments, evidence: &scan::Evidence, settings: &FullSettings) -> Vec<f32> {
     let s = &settings.roughness;
     // Any texel of a segment, for what all its texels share.
     let mut some_texel = vec![0usize; segments.count];
@@ -176,3 +171,6 @@ fn roughness(
     );
     segment.into_iter().map(|r| r.min(s.cap)).collect()
 }
+
+#[cfg(test)]
+mod tests;

@@ -66,13 +66,9 @@ pub struct Observer<'a> {
 
 impl Observer<'_> {
     /// Observes the views. The backend holds the full TBL and its lights.
-    pub fn observe(
-        &self,
-        backend: &mut dyn Backend,
-        views: &[View],
-        progress: &dyn Progress,
-    ) -> Result<Observations> {
-        let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>() * u64::from(self.sampling(0).rays());
+    pub fn observe(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Observations> {
+        let rays: u64 =
+            views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>() * u64::from(self.sampling(0).rays());
         progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };

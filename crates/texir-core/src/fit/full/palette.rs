@@ -101,9 +101,8 @@ fn modes(cells: &[(Vec3A, f32)], settings: &PaletteSettings) -> Vec<Vec3A> {
     }
     let all: f32 = cells.iter().map(|(_, count)| count).sum();
     for (colour, count) in cells {
-        let near = found.iter_mut().min_by(|a, b| {
-            a.0.distance_squared(*colour).total_cmp(&b.0.distance_squared(*colour))
-        });
+        let near =
+            found.iter_mut().min_by(|a, b| a.0.distance_squared(*colour).total_cmp(&b.0.distance_squared(*colour)));
         if let Some((_, share)) = near {
             *share += count / all;
         }

@@ -12,7 +12,7 @@ use super::neighbours::NONE;
 use crate::error::Result;
 use crate::fit::settings::RoughnessSettings;
 use crate::progress::Progress;
-use crate::specular_table::{NODES, node};
+use crate::specular_table::{NODES, node, node_step};
 
 /// What each pixel says about roughness.
 pub struct Evidence {
@@ -100,13 +100,25 @@ fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[f32],
         .collect()
 }
 
-/// Roughness of the minimum of a cost curve over the nodes, refined by the parabola through its neighbours in ln r.
+/// Roughness of the minimum of a cost curve over the nodes, refined in ln r by the cubic through the best node, its two
+/// neighbours and the better of the nodes beyond: costs rise unevenly, as highlights fade faster than they sharpen.
 pub fn minimum(cost: &[f32; NODES]) -> f32 {
     let k = (0..NODES).min_by(|a, b| cost[*a].total_cmp(&cost[*b])).unwrap_or(0);
     if k == 0 || k == NODES - 1 {
         return node(k);
     }
+    let beyond = [k.checked_sub(2), (k + 2 < NODES).then_some(k + 2)];
+    let Some(fourth) = beyond.into_iter().flatten().min_by(|a, b| cost[*a].total_cmp(&cost[*b])) else {
+        return node(k);
+    };
     let (left, right) = (cost[k - 1] - cost[k], cost[k + 1] - cost[k]);
-    let shift = if left + right > 0.0 { 0.5 * (left - right) / (left + right) } else { 0.0 };
-    node(k) * (shift * crate::specular_table::node_step()).exp()
+    let side = if fourth > k { 2.0 } else { -2.0 };
+    // cost(k + t) − cost(k) = a t + b t² + c t³.
+    let b = 0.5 * (left + right);
+    let c = ((cost[fourth] - cost[k] - 4.0 * b) / side - 0.5 * (right - left)) / 3.0;
+    let a = 0.5 * (right - left) - c;
+    let value = |t: f32| ((c * t + b) * t + a) * t;
+    const STEPS: i32 = 64;
+    let best = (-STEPS..=STEPS).map(|i| i as f32 / STEPS as f32).min_by(|s, t| value(*s).total_cmp(&value(*t)));
+    node(k) * (best.unwrap_or(0.0) * node_step()).exp()
 }

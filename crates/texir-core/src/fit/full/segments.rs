@@ -45,7 +45,7 @@ pub fn segment(atlas: &Atlas, neighbours: &Neighbours, seen: &Observations, plan
 }
 
 /// The label with the largest share of each texel's pixels; `None` where no pixel has one.
-fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + Sync) -> Vec<Option<u16>> {
+pub(super) fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + Sync) -> Vec<Option<u16>> {
     (0..seen.columns.len())
         .into_par_iter()
         .map(|texel| {
@@ -63,7 +63,7 @@ fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + Sync) -> Vec
 }
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.
-fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise: impl Fn(usize) -> u16) -> Vec<u16> {
+pub(super) fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise: impl Fn(usize) -> u16) -> Vec<u16> {
     let mut across = vec![Vec::new(); 0];
     across.resize_with(known.len(), Vec::<u32>::new);
     for &[a, b] in &neighbours.seams {
@@ -85,7 +85,7 @@ fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise: impl Fn(u
 }
 
 /// Numbers the connected regions of equal labels.
-fn connected<T: PartialEq>(labels: &[T], neighbours: &Neighbours) -> (Vec<u32>, usize) {
+pub(super) fn connected<T: PartialEq>(labels: &[T], neighbours: &Neighbours) -> (Vec<u32>, usize) {
     let mut parent: Vec<u32> = (0..labels.len() as u32).collect();
     let mut join = |a: u32, b: u32| {
         if labels[a as usize] == labels[b as usize] {

@@ -11,13 +11,13 @@ use crate::backend::Backend;
 use crate::bake;
 use crate::capture::View;
 use crate::error::Result;
+use crate::fit::settings::FitSettings;
 use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Rgb};
 use crate::scene::Scene;
 use crate::texture::Pyramid;
-use crate::fit::settings::FitSettings;
 use stages::{EpochLog, Optimisation, Textures};
 use views::{FitView, Surroundings};
 
@@ -85,4 +85,3 @@ fn complete(
         atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
     ))
 }
-

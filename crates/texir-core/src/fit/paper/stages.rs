@@ -1,11 +1,11 @@
 //! The paper's three stages (method section 3). Each is the same loop, one view per step: look the parameters up, render,
 //! compare, and carry the gradient back to the texels, where Adam updates them.
 
-use crate::fit::adam::Adam;
-use crate::fit::settings::FitSettings;
 use super::views::FitView;
 use crate::backend::{Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Sampling, ShadePoint};
 use crate::error::Result;
+use crate::fit::adam::Adam;
+use crate::fit::settings::FitSettings;
 use crate::progress::{Progress, Silent};
 use crate::rng::hash2;
 use crate::texture::Pyramid;

@@ -1,0 +1,256 @@
+//! The full mode's parts on small problems with known answers.
+
+use glam::{Vec2, Vec3, Vec3A};
+
+use super::albedo::{AlbedoProblem, Roughness};
+use super::hierarchy::{Level, settle};
+use super::neighbours::{NONE, Neighbours};
+use super::observations::Observations;
+use super::scan::{minimum, scan};
+use crate::atlas::Atlas;
+use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
+use crate::cpu::CpuBackend;
+use crate::diffuse::DiffuseModel;
+use crate::fit::settings::{AlbedoSettings, RoughnessSettings};
+use crate::lights::Lights;
+use crate::mesh::Mesh;
+use crate::progress::Silent;
+use crate::raster::Rgb;
+use crate::scene::Scene;
+use crate::specular_table::{STRATA, TableSampling};
+use crate::surface::SurfacePoint;
+use crate::texture::{Rows, Tap};
+
+/// Edge of the floor's part of the atlas, texels.
+const FLOOR: usize = 8;
+
+/// A floor of 2 × 2 m, a lamp of 20 × 20 cm above it, and a dim ceiling above both; one chart each.
+fn room() -> (Scene, Rgb) {
+    let quad = |size: f32, z: f32, facing: f32| {
+        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| Vec3::new(size * x, size * y * facing, z))
+    };
+    let mut mesh = Mesh { positions: vec![], normals: vec![], uvs: vec![], triangles: vec![] };
+    let quads = [
+        (quad(1.0, 0.0, 1.0), 0.0, Vec3::Z),
+        (quad(0.1, 1.5, -1.0), 0.5, -Vec3::Z),
+        (quad(2.0, 2.0, -1.0), 0.75, -Vec3::Z),
+    ];
+    for (corners, left, normal) in quads {
+        let first = mesh.positions.len() as u32;
+        let width = if left == 0.0 { 0.5 } else { 0.25 };
+        mesh.positions.extend(corners);
+        mesh.normals.extend([normal; 4]);
+        mesh.uvs.extend([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(u, v)| Vec2::new(left + width * u, v)));
+        mesh.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+    }
+    let mut radiance = Rgb::filled(2 * FLOOR, FLOOR, [0.3, 0.25, 0.2]);
+    for y in 0..FLOOR {
+        radiance.data[y * 2 * FLOOR + FLOOR..][..FLOOR / 2].fill([60.0, 50.0, 40.0]);
+        radiance.data[y * 2 * FLOOR..][..FLOOR].fill([0.2, 0.2, 0.2]);
+    }
+    (Scene::new(mesh).unwrap(), radiance)
+}
+
+/// The floor seen by cameras on two circles, its materials known.
+struct Toy {
+    seen: Observations,
+    irradiance: Vec<Vec3A>,
+    neighbours: Neighbours,
+    segment: Vec<u32>,
+}
+
+fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32) -> Toy {
+    let (scene, radiance) = room();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, 2 * FLOOR, FLOOR).unwrap();
+    let lights = Lights::find(&scene.mesh, &atlas, &radiance);
+    backend.set_tbl(&radiance, &lights).unwrap();
+    let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();
+    let gather = Gather { cosine: 1024, light: 1024, seed: 3 };
+    let irradiance: Vec<Vec3A> =
+        backend.irradiance(&atlas.points, gather, &Silent).unwrap().iter().map(|g| Vec3A::from(g.irradiance)).collect();
+    let mut seen = Observations { rows: Rows { offsets: vec![0], taps: vec![] }, ..Observations::default() };
+    let mut strata: Vec<[ShadePoint; STRATA]> = Vec::new();
+    for view in 0..8 {
+        let angle = view as f32 / 8.0 * std::f32::consts::TAU;
+        let radius = if view % 2 == 0 { 1.2 } else { 0.4 };
+        let camera = Vec3::new(radius * angle.cos(), radius * angle.sin(), 1.0 + 0.05 * view as f32);
+        for (t, point) in atlas.points.iter().enumerate().filter(|(t, _)| on_floor[*t]) {
+            let to_camera = (camera - Vec3::from(point.position)).normalize();
+            strata.push(
+                [ShadePoint {
+                    position: point.position,
+                    sequence: strata.len() as u32,
+                    normal: [0.0, 0.0, 1.0],
+                    pad0: 0.0,
+                    view: to_camera.to_array(),
+                    pad1: 0.0,
+                    irradiance: irradiance[t].to_array(),
+                    pad2: 0.0,
+                }; STRATA],
+            );
+            seen.cosine.push(to_camera.z);
+            seen.rows.taps.push(Tap { texel: t as u32, weight: 1.0 });
+            seen.rows.offsets.push(seen.rows.taps.len() as u32);
+        }
+    }
+    let points: Vec<ShadePoint> = strata.iter().map(|s| s[0]).collect();
+    let texel = |p: usize| seen.rows.taps[p].texel as usize;
+    let materials: Vec<Material> =
+        (0..points.len()).map(|p| Material::dielectric(albedo(texel(p)).to_array(), roughness)).collect();
+    // The images come from shading, which draws its samples otherwise than the tables do.
+    let sampling = Sampling { samples: 1 << 14, seed: 7 };
+    let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
+    seen.radiance = shaded.iter().map(|s| Vec3A::from(s.radiance)).collect();
+    let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, seed: 5 };
+    seen.curves = backend.specular_tables(&strata, sampling, &Silent).unwrap();
+    seen.columns = seen.rows.transposed(atlas.texels.len());
+    let neighbours = Neighbours::new(&scene.mesh, &atlas);
+    Toy { seen, irradiance, neighbours, segment: on_floor.iter().map(|&f| u32::from(!f)).collect() }
+}
+
+impl Toy {
+    fn problem<'a>(&'a self, settings: &'a AlbedoSettings) -> AlbedoProblem<'a> {
+        let segment = (&self.segment[..], 2);
+        AlbedoProblem::new(&self.seen, &self.irradiance, &self.neighbours, segment, DiffuseModel::Lambert, settings)
+    }
+}
+
+#[test]
+fn the_scan_recovers_roughness_under_a_small_lamp() {
+    let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
+    for truth in [0.08f32, 0.15, 0.3, 0.5, 0.7, 0.9] {
+        let toy = toy(|t| Vec3A::new(0.3, 0.5, 0.4) + 0.02 * (t % 5) as f32, truth);
+        let problem = toy.problem(&settings);
+        let mut albedo = problem.start();
+        let evidence = scan(&problem, &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
+        let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
+        let level = Level { group: &group, parent: &[0.5], pull: 0.0, half_believed: 0.0 };
+        let found = settle(&evidence, &level)[0];
+        assert!((found - truth).abs() < 0.02, "r {truth}: found {found}");
+    }
+}
+
+#[test]
+fn least_squares_recovers_albedo_beside_highlights() {
+    let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
+    let truth = |t: usize| Vec3A::new(0.2 + 0.07 * (t % 7) as f32, 0.5, 0.8 - 0.1 * (t % 3) as f32);
+    let toy = toy(truth, 0.3);
+    let problem = toy.problem(&settings);
+    let sigma = problem.noise(settings.image_noise);
+    let error = |r: f32| {
+        let mut albedo = problem.start();
+        problem.solve(&mut albedo, &Roughness::PerPixel(&vec![r; toy.seen.len()]), &sigma, 3, 25);
+        let seen = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
+        seen.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max)
+    };
+    let (right, wrong) = (error(0.3), error(0.9));
+    // Negative control: at the wrong roughness highlights stay in the albedo, as far as robust weights let them.
+    assert!(right < 0.005 && wrong > 2.0 * right, "{right} {wrong}");
+}
+
+#[test]
+fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
+    let mut cost = [half::f16::ONE; crate::specular_table::NODES];
+    cost[8] = half::f16::ZERO;
+    let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost] };
+    let settled =
+        |pull, half_believed| settle(&evidence, &Level { group: &[0], parent: &[0.8, 0.6], pull, half_believed });
+    let own = crate::specular_table::node(8);
+    assert!((settled(0.0, 0.0)[0] - own).abs() < 1e-3 && settled(0.0, 0.0)[1] == 0.6);
+    assert!(settled(100.0, 0.0)[0] > 0.75, "a strong pull wins");
+    assert!(settled(0.5, 1000.0)[0] > 0.75, "one pixel of a thousand is not believed");
+}
+
+#[test]
+fn the_minimum_of_a_parabola_is_found_between_nodes() {
+    use crate::specular_table::{NODES, node, node_step};
+    let centre = (node(9) * (0.3 * node_step()).exp()).ln();
+    let cost: [f32; NODES] = std::array::from_fn(|k| (node(k).ln() - centre).powi(2));
+    assert!((minimum(&cost).ln() - centre).abs() < 1e-3);
+    assert_eq!(minimum(&std::array::from_fn(|k| k as f32)), node(0));
+}
+
+/// A strip of texels, each beside the next.
+fn strip(count: u32) -> Neighbours {
+    let beside = (0..count)
+        .map(|i| [if i > 0 { i - 1 } else { NONE }, if i + 1 < count { i + 1 } else { NONE }, NONE, NONE])
+        .collect();
+    Neighbours { beside, seams: vec![] }
+}
+
+#[test]
+fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
+    use super::palette::Palettes;
+    use crate::fit::settings::PaletteSettings;
+    let settings = PaletteSettings::default();
+    // Two paints, each texel off by up to 6 %, and one texel of neither.
+    let off = |t: usize| 1.0 + 0.06 * ((t * 7 % 13) as f32 / 6.0 - 1.0);
+    let (red, blue, odd) = (Vec3A::new(0.6, 0.2, 0.1), Vec3A::new(0.1, 0.2, 0.5), Vec3A::new(0.9, 0.9, 0.1));
+    let mut albedo: Vec<Vec3A> = (0..200).map(|t| if t % 3 == 0 { red } else { blue } * off(t)).collect();
+    albedo.push(odd);
+    let palettes = Palettes::find(&albedo, &vec![0; 201], 1, |_| true, &settings);
+    assert_eq!(palettes.most(), 2);
+    let spread = |albedo: &dyn Fn(usize) -> Vec3A| {
+        (0..200).map(|t| (albedo(t) / if t % 3 == 0 { red } else { blue } - 1.0).abs().max_element()).sum::<f32>()
+    };
+    let drawn = |t: usize| palettes.drawn(0, albedo[t], &settings);
+    assert!(spread(&drawn) < 0.5 * spread(&|t| albedo[t]), "{} {}", spread(&drawn), spread(&|t| albedo[t]));
+    assert!((drawn(200) - odd).abs().max_element() < 0.01, "{}", drawn(200));
+    let none = PaletteSettings { strength: 0.0, ..settings };
+    assert!((palettes.drawn(0, albedo[5], &none) - albedo[5]).abs().max_element() < 1e-5);
+}
+
+#[test]
+fn local_roughness_follows_clear_evidence_only() {
+    use super::local::{Surface, refine};
+    use super::scan::Evidence;
+    use crate::fit::settings::LocalSettings;
+    use crate::specular_table::{NODES, node};
+    let (width, texels) = (64u32, (0..64 * 16).collect::<Vec<u32>>());
+    // The left half is smooth, the right half rough; `depth` says how clearly the views tell.
+    let evidence = |depth: f32| Evidence {
+        segment: vec![0; texels.len()],
+        cost: texels
+            .iter()
+            .map(|t| {
+                let truth: f32 = if t % width < 32 { 0.1 } else { 0.4 };
+                std::array::from_fn(|k| half::f16::from_f32(depth * (node(k) / truth).ln().powi(2).min(1.0)))
+            })
+            .collect::<Vec<[half::f16; NODES]>>(),
+    };
+    let group = vec![0; texels.len()];
+    let surface =
+        Surface { width: width as usize, texels: &texels, group: &group, heaviest: &texels, texel_size: 0.05 };
+    let settings = LocalSettings::default();
+    let refined = |depth| refine(&surface, &evidence(depth), vec![0.2; texels.len()], &settings);
+    let clear = refined(1.0);
+    assert!(clear[8] < 0.13 && clear[56] > 0.32, "{} {}", clear[8], clear[56]);
+    let vague = refined(1e-4);
+    assert!((vague[8] - 0.2).abs() < 0.02 && (vague[56] - 0.2).abs() < 0.02, "{} {}", vague[8], vague[56]);
+}
+
+#[test]
+fn texels_that_no_pixel_sees_take_their_neighbours_label_and_wrong_pixels_are_outvoted() {
+    use super::segments::{connected, spread, vote};
+    // Ten pixels per texel, one in ten of the wrong class; texels 4 and 5 are not seen.
+    let mut seen = Observations { rows: Rows { offsets: vec![0], taps: vec![] }, ..Observations::default() };
+    for texel in (0..10u32).filter(|t| !(4..6).contains(t)) {
+        for pixel in 0..10 {
+            seen.rows.taps.push(Tap { texel, weight: 1.0 });
+            seen.rows.offsets.push(seen.rows.taps.len() as u32);
+            seen.class.push(if pixel == 3 {
+                9
+            } else if texel < 5 {
+                1
+            } else {
+                2
+            });
+        }
+    }
+    seen.columns = seen.rows.transposed(10);
+    let labels = spread(vote(&seen, |p| Some(seen.class[p])), &strip(10), |_| 0);
+    assert_eq!(labels, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
+    let (segments, count) = connected(&labels, &strip(10));
+    assert_eq!((segments[0], segments[9], count), (0, 1, 2));
+}
