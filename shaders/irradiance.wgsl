@@ -29,6 +29,8 @@ struct IrradianceParams {
     // Entries of `light_slots`.
     slots: u32,
     seed: u32,
+    // Steps of the lattice of n_c points.
+    lattice: vec2u,
 }
 
 // One slot of the alias table over the lights: `primitive` with probability `keep`, else `alternative`.
@@ -55,15 +57,18 @@ struct Gathered {
 @group(1) @binding(4) var<storage, read_write> gathered: array<Gathered>;
 
 // L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back; 0 for a miss.
+// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks.
 fn contribution(hit: Intersection, direction: vec3f, cosine: f32) -> vec4f {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
     let normal = primitive_normal(primitive);
     let towards = dot(normal, direction);
     // Density per area · t² / |cosθ'|.
-    let per_solid_angle = light_density[primitive] * hit.t * hit.t / max(abs(towards) / length(normal), 1e-6);
+    let back = towards > 0.0;
+    let per_area = light_density[primitive];
+    let per_solid_angle = per_area * hit.t * hit.t / max(abs(towards) / length(normal), 1e-6);
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
-    let light = radiance_at(hit) * (cosine / density);
-    return select(vec4f(light, select(0.0, 1.0, towards > 0.0)), vec4f(0.0), hit.primitive == MISS);
+    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && per_area > 0.0);
+    return select(vec4f(light, select(0.0, 1.0, back)), vec4f(0.0), hit.primitive == MISS);
 }
 
 // The point that a thread works on.
@@ -105,9 +110,10 @@ fn gather_cosine(
 ) {
     let own = share_of(thread, workgroup, workgroups);
     let frame = frame_of(own.point.normal);
+    let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(sobol2(s, own.seed));
+        let local = cosine_direction(lattice2(s, params.lattice, offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z);
     }

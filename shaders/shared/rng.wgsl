@@ -44,6 +44,12 @@ fn to_unit(x: u32) -> f32 {
     return f32(x >> 8u) / 16777216.0;
 }
 
+// Point `index` of a rank-1 lattice (texir-core's lattice.rs), shifted by `offset`: 32-bit fractions.
+fn lattice2(index: u32, step: vec2u, offset: vec2u) -> vec2f {
+    let x = index * step + offset;
+    return vec2f(to_unit(x.x), to_unit(x.y));
+}
+
 // Sample `index` of the two-dimensional Owen-scrambled Sobol sequence of `seed`, in [0, 1)².
 fn sobol2(index: u32, seed: u32) -> vec2f {
     let shuffled = owen(index, seed);

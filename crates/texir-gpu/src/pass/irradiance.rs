@@ -6,6 +6,7 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
+use texir_core::lattice::Lattice;
 use texir_core::progress::Progress;
 use texir_core::surface::SurfacePoint;
 
@@ -25,6 +26,7 @@ pub(crate) struct IrradianceParams {
     pub light_samples: u32,
     pub slots: u32,
     pub seed: u32,
+    pub lattice: [u32; 2],
 }
 
 struct Irradiance<'a> {
@@ -34,6 +36,7 @@ struct Irradiance<'a> {
     lighting: &'a Lighting,
     points: &'a [SurfacePoint],
     gather: Gather,
+    lattice: Lattice,
     shape: GatherShape,
     out: Vec<Gathered>,
 }
@@ -69,6 +72,7 @@ impl Gathering for Irradiance<'_> {
             light_samples: self.gather.light,
             slots: self.lighting.slots,
             seed: self.gather.seed,
+            lattice: self.lattice.step,
         });
         let own = [
             ("params", params.binding()),
@@ -105,7 +109,8 @@ pub(crate) fn run(
     // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
     let gather = Gather { light: if lighting.slots == 0 { 0 } else { gather.light }, ..gather };
     let out = Vec::with_capacity(points.len());
-    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, shape, out };
+    let lattice = Lattice::new(gather.cosine);
+    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, lattice, shape, out };
     ctx.gather(points.len(), [gather.cosine, gather.light], shape, progress, &mut pass)?;
     Ok(pass.out)
 }
