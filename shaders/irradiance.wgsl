@@ -29,8 +29,8 @@ struct IrradianceParams {
     // Entries of `light_slots`.
     slots: u32,
     seed: u32,
-    // Steps of the lattice of n_c points.
-    lattice: vec2u,
+    // 2³²/n_c: the step of the cosine samples' lattice.
+    step: u32,
 }
 
 // One slot of the alias table over the lights: `primitive` with probability `keep`, else `alternative`.
@@ -113,7 +113,7 @@ fn gather_cosine(
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(lattice2(s, params.lattice, offset));
+        let local = cosine_direction(fibonacci2(s, params.step, offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z);
     }

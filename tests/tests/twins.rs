@@ -10,7 +10,6 @@ use texir_core::camera::Camera;
 use texir_core::cpu::shade::{MaterialIn, ShadedIn};
 use texir_core::cpu::trace::{Exhaustive, Lighting, TraceHit};
 use texir_core::cpu::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
-use texir_core::lattice::Lattice;
 use texir_core::lights::Lights;
 use texir_core::progress::Silent;
 use texir_core::real::V3;
@@ -150,9 +149,7 @@ fn irradiance_gather() {
         let gather = Gather { cosine, light, seed: 11 };
         let got: Vec<f64> = backend.irradiance(&points, gather, &Silent).unwrap().iter().flat_map(flat).collect();
         let expected: Vec<f64> = (points.iter().enumerate())
-            .map(|(i, p)| {
-                irradiance::irradiance::<f64, _>(&lighting, &lights, p, i as u32, gather, Lattice::new(gather.cosine))
-            })
+            .map(|(i, p)| irradiance::irradiance::<f64, _>(&lighting, &lights, p, i as u32, gather))
             .flat_map(|g| flat(&g))
             .collect();
         TRACED.check("E and back faces", &got, &expected);

@@ -16,7 +16,6 @@ pub mod fit;
 pub mod glb;
 pub mod image_io;
 mod inpaint;
-pub mod lattice;
 pub mod lights;
 pub mod mesh;
 pub mod mesh_io;

@@ -73,7 +73,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 light_samples,
                 slots,
                 seed,
-                lattice
+                step
             }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),

@@ -3,11 +3,10 @@
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::{Gather, Gathered};
 use crate::brdf::basis;
-use crate::lattice::Lattice;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
-use crate::rng::{hash2, sobol2};
+use crate::rng::{fibonacci_step, fibonacci2, hash2, sobol2};
 use crate::surface::SurfacePoint;
 
 /// A cosine-distributed unit direction around +Z, density cosθ/π.
@@ -38,7 +37,7 @@ fn light_density<R: Real>(mesh: &Mesh, lights: &Lights, hit: &TraceHit<R>, direc
 }
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
-/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of `lattice`, which is that of n_c points,
+/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Fibonacci lattice of n_c points,
 /// shifted by two hashes of `hash2(seed, index)`; light sample i is point i of the Sobol sequence of that hashed with 1, its
 /// slot of that hashed with 2.
 ///
@@ -50,7 +49,6 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     point: &SurfacePoint,
     index: u32,
     gather: Gather,
-    lattice: Lattice,
 ) -> Gathered {
     let mesh = lighting.tracer.mesh();
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
@@ -60,9 +58,9 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));
     let (mut sum, mut behind) = (V3::zero(), 0u32);
 
-    let offset = [hash2(seed, 3), hash2(seed, 4)];
+    let (step, offset) = (fibonacci_step(gather.cosine), [hash2(seed, 3), hash2(seed, 4)]);
     for i in 0..gather.cosine {
-        let V3([x, y, z]) = cosine_direction(lattice.point(i, offset));
+        let V3([x, y, z]) = cosine_direction(fibonacci2(i, step, offset));
         let direction = tangent * x + bitangent * y + normal * z;
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
         let back = is_back_face(mesh, &hit, direction);

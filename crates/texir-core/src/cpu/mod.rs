@@ -23,7 +23,6 @@ use crate::backend::{
 };
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::lattice::Lattice;
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::Rgb;
@@ -124,9 +123,8 @@ impl Backend for CpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
         let (lighting, lights) = self.lighting()?;
-        let lattice = Lattice::new(gather.cosine);
         map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |i, point| {
-            irradiance::irradiance::<f32, _>(&lighting, lights, point, i as u32, gather, lattice)
+            irradiance::irradiance::<f32, _>(&lighting, lights, point, i as u32, gather)
         })
     }
 

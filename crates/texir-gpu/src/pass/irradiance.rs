@@ -6,8 +6,8 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
-use texir_core::lattice::Lattice;
 use texir_core::progress::Progress;
+use texir_core::rng::fibonacci_step;
 use texir_core::surface::SurfacePoint;
 
 use crate::batch::{Context, GatherShape, Gathering};
@@ -26,7 +26,7 @@ pub(crate) struct IrradianceParams {
     pub light_samples: u32,
     pub slots: u32,
     pub seed: u32,
-    pub lattice: [u32; 2],
+    pub step: u32,
 }
 
 struct Irradiance<'a> {
@@ -36,7 +36,6 @@ struct Irradiance<'a> {
     lighting: &'a Lighting,
     points: &'a [SurfacePoint],
     gather: Gather,
-    lattice: Lattice,
     shape: GatherShape,
     out: Vec<Gathered>,
 }
@@ -72,7 +71,7 @@ impl Gathering for Irradiance<'_> {
             light_samples: self.gather.light,
             slots: self.lighting.slots,
             seed: self.gather.seed,
-            lattice: self.lattice.step,
+            step: fibonacci_step(self.gather.cosine),
         });
         let own = [
             ("params", params.binding()),
@@ -109,8 +108,7 @@ pub(crate) fn run(
     // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
     let gather = Gather { light: if lighting.slots == 0 { 0 } else { gather.light }, ..gather };
     let out = Vec::with_capacity(points.len());
-    let lattice = Lattice::new(gather.cosine);
-    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, lattice, shape, out };
+    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, shape, out };
     ctx.gather(points.len(), [gather.cosine, gather.light], shape, progress, &mut pass)?;
     Ok(pass.out)
 }
