@@ -30,6 +30,8 @@ struct IrradianceParams {
     // Entries of `light_slots`.
     slots: u32,
     seed: u32,
+    // 2³²/n_c: the step of the cosine samples' lattice.
+    step: u32,
 }
 
 // What was found at a point.
@@ -45,14 +47,16 @@ struct Gathered {
 @group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
 
 // L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back; 0 for a miss.
+// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks.
 fn contribution(hit: Intersection, direction: vec3f, cosine: f32) -> vec4f {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
     let normal = primitive_normal(primitive);
     let towards = dot(normal, direction);
+    let back = towards > 0.0;
     let per_solid_angle = light_pdf(primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
-    let light = radiance_at(hit) * (cosine / density);
-    return select(vec4f(light, select(0.0, 1.0, towards > 0.0)), vec4f(0.0), hit.primitive == MISS);
+    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive] > 0.0);
+    return select(vec4f(light, select(0.0, 1.0, back)), vec4f(0.0), hit.primitive == MISS);
 }
 
 // The point that a thread works on.
@@ -94,9 +98,10 @@ fn gather_cosine(
 ) {
     let own = share_of(thread, workgroup, workgroups);
     let frame = frame_of(own.point.normal);
+    let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(sobol2(s, own.seed));
+        let local = cosine_direction(fibonacci2(s, params.step, offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z);
     }

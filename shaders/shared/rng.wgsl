@@ -44,6 +44,12 @@ fn to_unit(x: u32) -> f32 {
     return f32(x >> 8u) / 16777216.0;
 }
 
+// Point `index` of the Fibonacci lattice of 2³²/step points, shifted by `offset` (32-bit fractions), in [0, 1)².
+fn fibonacci2(index: u32, step: u32, offset: vec2u) -> vec2f {
+    let x = index * vec2u(step, 0x9e3779b9u) + offset;
+    return vec2f(to_unit(x.x), to_unit(x.y));
+}
+
 // Sample `index` of the two-dimensional Owen-scrambled Sobol sequence of `seed`, in [0, 1)².
 fn sobol2(index: u32, seed: u32) -> vec2f {
     let shuffled = owen(index, seed);

@@ -211,8 +211,8 @@ pub trait Backend {
     /// nearest point of the nearest such triangle (conservative at chart borders).
     fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>>;
 
-    /// Irradiance gather at every point: cosine-distributed Sobol samples and light samples, combined by the balance
-    /// heuristic; unbiased for any split. Advances `progress` by the rays traced.
+    /// Irradiance gather at every point: cosine-distributed samples and light samples, combined by the balance heuristic;
+    /// unbiased for any split. The backs of lights are black. Advances `progress` by the rays traced.
     fn irradiance(&mut self, points: &[SurfacePoint], gather: Gather, progress: &dyn Progress)
     -> Result<Vec<Gathered>>;
 

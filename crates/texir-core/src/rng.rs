@@ -55,9 +55,48 @@ fn to_unit(x: u32) -> f32 {
     (x >> 8) as f32 / 16_777_216.0
 }
 
+/// The step of [`fibonacci2`] in its first dimension: 1/n as a 32-bit fraction.
+pub fn fibonacci_step(n: u32) -> u32 {
+    ((1u64 << 32) / u64::from(n.max(1))) as u32
+}
+
+/// Point `i` of the Fibonacci lattice {(i/n, frac(i·(√5 − 1)/2))}, shifted as a whole by `offset` (32-bit fractions), as
+/// numbers in [0, 1) with 24 bits.
+///
+/// For a random offset every point is uniform, so that an estimate is unbiased (Cranley and Patterson, SIAM J. Numer.
+/// Anal. 13, 1976). Where an integrand jumps, its error is lower than that of a scrambled net of as many points; and the
+/// golden ratio keeps points apart whatever the stretch between the two dimensions, which in the polar map of a
+/// hemisphere changes with the elevation (Marques et al., "Spherical Fibonacci Point Sets for Illumination Integrals",
+/// CGF 2013).
+pub fn fibonacci2(i: u32, step: u32, offset: [u32; 2]) -> [f32; 2] {
+    const GOLDEN: u32 = 0x9e37_79b9;
+    [(step, 0), (GOLDEN, 1)].map(|(step, d)| to_unit(i.wrapping_mul(step).wrapping_add(offset[d])))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Standard deviation, over 400 seeds, of the estimated share of a disc in the unit square.
+    fn deviation(n: u32, points: impl Fn(u32, u32) -> [f32; 2]) -> f64 {
+        let inside = |[u, v]: [f32; 2]| f64::from(u8::from((u - 0.4).powi(2) + (v - 0.6).powi(2) < 0.09));
+        let share = 0.09 * std::f64::consts::PI;
+        let error = |s: u32| (0..n).map(|i| inside(points(i, s))).sum::<f64>() / f64::from(n) - share;
+        ((0..400).map(|s| error(s).powi(2)).sum::<f64>() / 400.0).sqrt()
+    }
+
+    #[test]
+    fn a_shifted_fibonacci_lattice_beats_a_scrambled_net() {
+        for n in [100, 128, 1000, 1024] {
+            let shifted = |step: u32| deviation(n, |i, s| fibonacci2(i, step, [hash(s), hash2(s, 1)]));
+            let net = deviation(n, |i, s| sobol2(i, hash(s)));
+            let lattice = shifted(fibonacci_step(n));
+            assert!(lattice < 0.9 * net, "{n} points: {lattice} against {net}");
+            // Negative control: points that leave a part of the square empty.
+            assert!(shifted(fibonacci_step(n + n / 8)) > net);
+        }
+        assert_eq!(fibonacci2(0, fibonacci_step(1), [1 << 31, 1 << 30]), [0.5, 0.25]);
+    }
 
     /// Direction numbers of the second Sobol dimension by their recurrence v_k = v_{k−1} ^ (v_{k−1} >> 1).
     fn sobol_by_recurrence(mut i: u32) -> u32 {

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::{Vec2, Vec3};
 use texir_core::atlas::Atlas;
 use texir_core::backend::{Backend, Gather};
-use texir_core::bake;
+use texir_core::bake::{self, Buried};
 use texir_core::lights::Lights;
 use texir_core::mesh::Mesh;
 use texir_core::progress::Progress;
@@ -46,13 +46,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let gather = Gather { cosine: 64, light: 64, seed: 1 };
     let console = Console::default();
     let baked = bake::irradiance(&mut backend, &atlas, gather, &console)?;
+    let irradiance = baked.map(&atlas, Buried::Fill);
 
     println!("device: {}", backend.name());
     println!("{} texels baked, {} million rays", atlas.points.len(), console.rays.into_inner() / 1_000_000);
     for (wall, name) in ["left", "right", "front", "back", "floor", "ceiling"].into_iter().enumerate() {
         let on_wall: Vec<f32> = (atlas.texels.iter().zip(&atlas.points))
             .filter(|(_, point)| point.triangle as usize / 2 == wall)
-            .map(|(&texel, _)| baked.irradiance.data[texel as usize][1])
+            .map(|(&texel, _)| irradiance.data[texel as usize][1])
             .collect();
         println!("{name:>8}: mean irradiance {:.3}", on_wall.iter().sum::<f32>() / on_wall.len().max(1) as f32);
     }

@@ -74,7 +74,8 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 cosine_samples,
                 light_samples,
                 slots,
-                seed
+                seed,
+                step
             }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use texir_core::atlas::Atlas;
-use texir_core::backend::{Backend, Gather};
-use texir_core::bake;
+use texir_core::backend::Gather;
+use texir_core::bake::{self, Buried};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::image_io::write_rgb;
 use texir_core::lights::Lights;
@@ -39,6 +39,10 @@ pub struct Bake {
     /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them
     #[arg(long)]
     cosine_only: bool,
+    /// Give texels inside other geometry (a floor under a cupboard) their nearest lit neighbour's value, so that they do
+    /// not darken what is seen beside them
+    #[arg(long)]
+    fill_buried: bool,
 }
 
 /// What `--json` prints.
@@ -48,7 +52,7 @@ struct Summary {
     width: usize,
     height: usize,
     texels: usize,
-    /// Texels inside other geometry, which took a neighbour's value.
+    /// Texels inside other geometry.
     buried: usize,
     rays: u64,
 }
@@ -70,25 +74,19 @@ impl Bake {
         };
         let (width, height) = self.size.map_or(radiance.size(), |side| (side, side));
         let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
-        let lights = self.lights(backend.as_mut(), &scene, &radiance)?;
+        let shining = Atlas::new(backend.as_mut(), &scene, radiance.width, radiance.height)?;
+        let lights = Lights::find(&scene.mesh, &shining, &radiance);
         backend.set_tbl(&radiance, &lights)?;
         let light = if self.cosine_only { 0 } else { self.spp / 2 };
         let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
         let baked = bake::irradiance(backend.as_mut(), &atlas, gather, session.console)?;
-        write_rgb(&self.output, &baked.irradiance)?;
+        let buried = if self.fill_buried { Buried::Fill } else { Buried::Keep };
+        write_rgb(&self.output, &baked.map(&atlas, buried))?;
         let texels = atlas.texels.len();
         let rays = texels as u64 * u64::from(self.spp);
-        let summary = Summary { output: self.output.clone(), width, height, texels, buried: baked.buried, rays };
+        let buried = baked.buried.iter().filter(|inside| **inside).count();
+        let summary = Summary { output: self.output.clone(), width, height, texels, buried, rays };
         session.print(&summary, || format!("{}: {width} × {height}, {texels} texels", summary.output.display()))
-    }
-
-    /// The light sources that rays are sent to.
-    fn lights(&self, backend: &mut dyn Backend, scene: &Scene, radiance: &Rgb) -> Result<Lights, Failure> {
-        if self.cosine_only {
-            return Ok(Lights::none(&scene.mesh));
-        }
-        let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
-        Ok(Lights::find(&scene.mesh, &atlas, radiance))
     }
 
     fn load(&self, session: &Session<'_>) -> Result<(Scene, Light), Failure> {

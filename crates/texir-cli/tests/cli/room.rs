@@ -9,7 +9,7 @@ use glam::{Mat4, Vec2, Vec3};
 use tempfile::TempDir;
 use texir_core::atlas::Atlas;
 use texir_core::backend::{Backend, Gather, Sampling};
-use texir_core::bake;
+use texir_core::bake::{self, Buried};
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::nerfstudio::write_transforms;
 use texir_core::capture::{Split, View};
@@ -240,7 +240,7 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
         let radiance = Rgb::new(ATLAS, ATLAS, (0..ATLAS * ATLAS).map(outgoing).collect()).unwrap();
         backend.set_tbl(&radiance, &lights).unwrap();
         let gather = Gather { cosine: 32, light: 32, seed: bounce as u32 };
-        irradiance = bake::irradiance(backend, &atlas, gather, &Silent).unwrap().irradiance;
+        irradiance = bake::irradiance(backend, &atlas, gather, &Silent).unwrap().map(&atlas, Buried::Fill);
     }
     Textures { albedo, roughness, irradiance, emission }
 }

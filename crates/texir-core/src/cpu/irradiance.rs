@@ -7,7 +7,7 @@ use crate::brdf::basis;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
-use crate::rng::{hash2, sobol2};
+use crate::rng::{fibonacci_step, fibonacci2, hash2, sobol2};
 use crate::surface::SurfacePoint;
 
 /// A cosine-distributed unit direction around +Z, density cosθ/π.
@@ -18,8 +18,12 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
 }
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
-/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Sobol sequence of
-/// `hash2(seed, index)`; light sample i is point i of the sequence of that hashed with 1, its slot of that hashed with 2.
+/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Fibonacci lattice of n_c points,
+/// shifted by two hashes of `hash2(seed, index)`; light sample i is point i of the Sobol sequence of that hashed with 1, its
+/// slot of that hashed with 2.
+///
+/// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
+/// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.
 pub fn irradiance<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
     lights: &Lights,
@@ -35,11 +39,16 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));
     let (mut sum, mut behind) = (V3::zero(), 0u32);
 
+    let (step, offset) = (fibonacci_step(gather.cosine), [hash2(seed, 3), hash2(seed, 4)]);
     for i in 0..gather.cosine {
-        let V3([x, y, z]) = cosine_direction(sobol2(i, seed));
+        let V3([x, y, z]) = cosine_direction(fibonacci2(i, step, offset));
         let direction = tangent * x + bitangent * y + normal * z;
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
-        behind += u32::from(is_back_face(mesh, &hit, direction));
+        let back = is_back_face(mesh, &hit, direction);
+        behind += u32::from(back);
+        if back && lights.density[hit.triangle as usize] > 0.0 {
+            continue;
+        }
         let density =
             n_cosine * z * R::of(std::f64::consts::FRAC_1_PI) + n_light * light_density(mesh, lights, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (z / density);
@@ -50,7 +59,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
-        if !(cosine > R::of(0.0)) || hit.triangle != triangle {
+        if !(cosine > R::of(0.0)) || hit.triangle != triangle || is_back_face(mesh, &hit, direction) {
             continue;
         }
         let density = n_cosine * cosine * R::of(std::f64::consts::FRAC_1_PI)

@@ -7,6 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
+use texir_core::rng::fibonacci_step;
 use texir_core::surface::SurfacePoint;
 
 use crate::batch::{Context, GatherShape, Gathering};
@@ -25,6 +26,7 @@ pub(crate) struct IrradianceParams {
     pub light_samples: u32,
     pub slots: u32,
     pub seed: u32,
+    pub step: u32,
 }
 
 struct Irradiance<'a> {
@@ -70,6 +72,7 @@ impl Gathering for Irradiance<'_> {
             light_samples: self.gather.light,
             slots: self.lighting.slots,
             seed: self.gather.seed,
+            step: fibonacci_step(self.gather.cosine),
         });
         let own = [
             ("params", params.binding()),
