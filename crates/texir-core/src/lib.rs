@@ -10,7 +10,11 @@ pub mod camera;
 pub mod capture;
 pub mod cpu;
 pub mod demo;
+<<<<<<< ours
 pub mod diffuse;
+=======
+pub mod denoise;
+>>>>>>> theirs
 pub mod error;
 pub mod eval;
 pub mod fit;
@@ -21,6 +25,7 @@ pub mod lights;
 pub mod mesh;
 pub mod mesh_io;
 pub mod metrics;
+mod neighbours;
 pub mod outputs;
 pub mod progress;
 pub mod raster;
