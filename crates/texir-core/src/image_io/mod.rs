@@ -3,6 +3,7 @@
 //! Files are recognised by their first bytes, not by their names. Every writer leaves a whole file or none
 //! ([`crate::atomic_file`]).
 
+mod encoded;
 mod exr;
 mod png;
 
@@ -12,6 +13,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
+pub use self::encoded::{Encoded, TransferCurve, is_encoded, read_encoded};
 pub use self::exr::{write_gray, write_rgb};
 pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
 use crate::error::{Error, Result};
@@ -113,7 +115,8 @@ pub fn read_rgb(path: impl AsRef<Path>) -> Result<Rgb> {
             path,
             format!(
                 "is a {format:?}, whose 8-bit values are neither linear nor unclipped; expected linear values as \
-                 OpenEXR, Radiance HDR or float TIFF: merge the bracketed exposures, or convert with a known curve"
+                 OpenEXR, Radiance HDR or float TIFF: merge bracketed exposures with `texir hdr`, or, knowing the curve, \
+                 convert with `texir import --curve`"
             ),
         )),
     }

@@ -14,14 +14,19 @@ use crate::error::{Error, Result};
 /// The shortest possible GLB header; the parser takes this much for granted.
 const GLB_HEADER_BYTES: u32 = 12;
 
-pub(super) fn read(path: &Path) -> Result<RawMesh> {
+/// A glTF or GLB without its buffers.
+pub(crate) fn open(path: &Path) -> Result<Gltf> {
     let bytes = std::fs::read(path).map_err(|e| cannot_read(path, e))?;
     if let [b'g', b'l', b'T', b'F', _, _, _, _, a, b, c, d, ..] = bytes[..]
         && u32::from_le_bytes([a, b, c, d]) < GLB_HEADER_BYTES
     {
         return Err(Error::file(path, "says that it is shorter than a GLB's header; is it damaged?"));
     }
-    let Gltf { document, blob } = Gltf::from_slice(&bytes).map_err(|e| cannot_read(path, e))?;
+    Gltf::from_slice(&bytes).map_err(|e| cannot_read(path, e))
+}
+
+pub(super) fn read(path: &Path) -> Result<RawMesh> {
+    let Gltf { document, blob } = open(path)?;
     let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| cannot_read(path, e))?;
     let scene = document
         .default_scene()
