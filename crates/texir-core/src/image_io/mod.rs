@@ -23,6 +23,10 @@ use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 /// bring the machine down.
 const MAX_PIXELS: usize = 1 << 28;
 
+/// An image has at most this many pixels for each byte of its file (a one-bit PNG of one colour comes to half of that): a
+/// small damaged file must not ask for the memory of a large one.
+const MAX_PIXELS_PER_BYTE: usize = 1 << 14;
+
 /// What a file's first bytes say it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
@@ -56,11 +60,16 @@ fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
     Error::file(path, format!("cannot be read: {e}"))
 }
 
-/// An image of this size, read from `path`, fits the limit.
+/// An image of this size, read from `path`, fits the limits.
 fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
+    let bytes = std::fs::metadata(path).map_err(|e| cannot_read(path, e))?.len();
+    let limit = usize::try_from(bytes).unwrap_or(usize::MAX).saturating_mul(MAX_PIXELS_PER_BYTE).min(MAX_PIXELS);
     match width.checked_mul(height) {
-        Some(1..=MAX_PIXELS) => Ok(()),
-        _ => Err(Error::file(path, format!("is {width}×{height} pixels; expected 1 to {MAX_PIXELS} of them"))),
+        Some(pixels) if (1..=limit).contains(&pixels) => Ok(()),
+        _ => Err(Error::file(
+            path,
+            format!("is {width}×{height} pixels in {bytes} bytes; expected 1 to {limit} of them: is the file damaged?"),
+        )),
     }
 }
 

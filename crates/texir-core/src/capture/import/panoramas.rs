@@ -17,7 +17,7 @@ pub(super) struct Panoramas;
 
 const LISTS: [&str; 2] = ["panoramas.csv", "panoramas.json"];
 /// Where images are looked for.
-const IMAGES: [&str; 3] = ["", "hdr", "images"];
+const IMAGES: [&str; 3] = ["hdr", "", "images"];
 
 /// A line of the CSV, whose header names these columns; an object of the JSON array.
 #[derive(Deserialize)]

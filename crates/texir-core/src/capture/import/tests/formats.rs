@@ -7,7 +7,7 @@ use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels};
 use crate::raster::{Gray, Labels};
 
 /// The COLMAP model of the scene in a world of other orientation, text or binary.
-fn colmap(up: Vec3, binary: bool) -> TempDir {
+pub(super) fn colmap(up: Vec3, binary: bool) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let model = root.join("sparse/0");
@@ -114,8 +114,8 @@ fn damaged_colmap_models_are_errors() {
     }
 }
 
-#[test]
-fn blender() {
+/// The scene as the NeRF-synthetic scenes are written.
+pub(super) fn blender_scene() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     write_images(root, |i| format!("{}/r_{i}.exr", if i < 2 { "train" } else { "test" }));
@@ -129,15 +129,21 @@ fn blender() {
         std::fs::write(root.join(format!("transforms_{split}.json")), file.to_string()).unwrap();
     }
     write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
-    let read = assert_reads(&folder, "blender", pinhole());
-    assert_eq!(read.shots.iter().filter(|shot| shot.view.split == Split::Novel).count(), 2);
-    let wrong = json!({"camera_angle_x": 4.0, "frames": []});
-    std::fs::write(root.join("transforms_train.json"), wrong.to_string()).unwrap();
-    assert_says(&complaint(&folder), &["transforms_train.json", "camera_angle_x is 4"]);
+    folder
 }
 
 #[test]
-fn lists_of_panoramas() {
+fn blender() {
+    let folder = blender_scene();
+    let read = assert_reads(&folder, "blender", pinhole());
+    assert_eq!(read.shots.iter().filter(|shot| shot.view.split == Split::Novel).count(), 2);
+    let wrong = json!({"camera_angle_x": 4.0, "frames": []});
+    std::fs::write(folder.path().join("transforms_train.json"), wrong.to_string()).unwrap();
+    assert_says(&complaint(&folder), &["transforms_train.json", "camera_angle_x is 4"]);
+}
+
+/// The scene as a list in JSON, as one with quaternions, and as one with angles.
+pub(super) fn panorama_lists() -> [TempDir; 3] {
     let rotation = |i: usize| DQuat::from_mat4(&poses()[i]);
     let position = |i: usize| poses()[i].w_axis.truncate();
     let row = |i: usize| {
@@ -161,15 +167,23 @@ fn lists_of_panoramas() {
         format!("p{i}.exr , {}, {}, {}, {yaw}, {pitch}, {roll}\n", p.x, p.y, p.z)
     };
     let all = |line: &dyn Fn(usize) -> String| (0..4).map(line).collect::<String>();
-    for (name, text) in [
+    [
         ("panoramas.json", json!((0..4).map(row).collect::<Vec<_>>()).to_string()),
         ("panoramas.csv", format!("# made by hand\nfile;x;y;z;qw;qx;qy;qz\n{}", all(&csv_row))),
         ("panoramas.csv", format!("file,x,y,z,yaw,pitch,roll\n{}", all(&angles))),
-    ] {
+    ]
+    .map(|(name, text)| {
         let folder = tempfile::tempdir().unwrap();
         write_images(&folder.path().join("hdr"), |i| format!("p{i}.exr"));
         write_mesh(&folder.path().join("flat.obj"), Vec3::Z, 1.0);
         std::fs::write(folder.path().join(name), text).unwrap();
+        folder
+    })
+}
+
+#[test]
+fn lists_of_panoramas() {
+    for folder in panorama_lists() {
         assert_reads(&folder, "panoramas", Projection::Equirectangular);
     }
     let folder = tempfile::tempdir().unwrap();
@@ -186,8 +200,8 @@ fn lists_of_panoramas() {
     assert_says(&bad("file,x,y,z,yaw\np0.exr,1,2,3,4\n"), &["3×2", "twice as wide as high"]);
 }
 
-#[test]
-fn matterport_as_captured_and_undistorted() {
+/// The scene as Matterport's camera gives it.
+pub(super) fn matterport() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let place = |name: &str| root.join(name);
@@ -202,8 +216,11 @@ fn matterport_as_captured_and_undistorted() {
     std::fs::write(place("matterport_camera_intrinsics/ab_intrinsics_0.txt"), intrinsics).unwrap();
     write_images(&place("matterport_hdr_images"), |i| format!("ab_j0_{i}.exr"));
     write_mesh(&place("matterport_mesh/xyz/xyz.obj"), Vec3::Z, 1.0);
-    assert_reads(&folder, "matterport3d", pinhole());
+    folder
+}
 
+/// The scene as Matterport3D's undistorted photos, and its .conf.
+pub(super) fn matterport_undistorted() -> (TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     // The principal point is off the middle: their rows count from the bottom.
@@ -216,14 +233,21 @@ fn matterport_as_captured_and_undistorted() {
     std::fs::write(root.join("undistorted_camera_parameters/xyz.conf"), &conf).unwrap();
     write_images(&root.join("hdr"), |i| format!("c{i}.exr"));
     write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
-    assert_reads(&folder, "matterport3d", Projection::Pinhole { fx: 5.0, fy: 5.0, cx: 4.0, cy: HEIGHT as f32 - 1.0 });
-    let conf = conf.replace("intrinsics_matrix", "intrinsics");
-    std::fs::write(root.join("undistorted_camera_parameters/xyz.conf"), conf).unwrap();
-    assert_says(&complaint(&folder), &["xyz.conf", "line 4", "intrinsics_matrix"]);
+    (folder, conf)
 }
 
 #[test]
-fn texir_authors_layout() {
+fn matterport_as_captured_and_undistorted() {
+    assert_reads(&matterport(), "matterport3d", pinhole());
+    let (folder, conf) = matterport_undistorted();
+    assert_reads(&folder, "matterport3d", Projection::Pinhole { fx: 5.0, fy: 5.0, cx: 4.0, cy: HEIGHT as f32 - 1.0 });
+    let conf = conf.replace("intrinsics_matrix", "intrinsics");
+    std::fs::write(folder.path().join("undistorted_camera_parameters/xyz.conf"), conf).unwrap();
+    assert_says(&complaint(&folder), &["xyz.conf", "line 4", "intrinsics_matrix"]);
+}
+
+/// The scene in the layout of the TexIR authors, and its matrices.
+pub(super) fn texir_authors() -> (TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let (mut ids, mut matrices) = (String::new(), "4 \n".to_owned());
@@ -245,6 +269,12 @@ fn texir_authors_layout() {
     write_images(root, |i| format!("hdr/164610{i}/ccm.hdr"));
     write_mesh(&root.join("hdr_texture/out1.obj"), Vec3::NEG_Y, 1.0);
     write_rgb(root.join("hdr_texture/hdr_texture.hdr"), &Rgb::filled(2, 2, [7.0; 3])).unwrap();
+    (folder, matrices)
+}
+
+#[test]
+fn texir_authors_layout() {
+    let (folder, matrices) = texir_authors();
     let read = assert_reads(&folder, "texir-authors", Projection::Equirectangular);
 
     let out = tempfile::tempdir().unwrap();
@@ -257,64 +287,69 @@ fn texir_authors_layout() {
     let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
     assert_eq!(capture.tbl.unwrap().radiance.data[0], [7.0; 3]);
 
-    std::fs::write(root.join("info/final_extrinsics.txt"), &matrices[..matrices.len() - 14]).unwrap();
+    std::fs::write(folder.path().join("info/final_extrinsics.txt"), &matrices[..matrices.len() - 14]).unwrap();
     assert_says(&complaint(&folder), &["final_extrinsics.txt", "63 numbers", "4 ids"]);
+}
+
+/// The scene as a glTF, whose nodes are cameras or the places of panoramas.
+pub(super) fn gltf(camera: bool) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let from_texir = source_from_texir(Vec3::Y);
+    let field = 2.0 * (0.5 * HEIGHT as f64 / 5.0).atan();
+    let mut nodes = vec![json!({"mesh": 0, "name": "flat", "matrix": from_texir.to_cols_array()})];
+    for (i, pose) in poses().into_iter().enumerate() {
+        let mut node = json!({"name": format!("View.00{i}"), "matrix": (from_texir * pose).to_cols_array()});
+        if camera {
+            node["camera"] = json!(0);
+        }
+        nodes.push(node);
+    }
+    let mesh = mesh();
+    let mut buffer: Vec<u8> = mesh.positions.iter().flat_map(|p| p.to_array().map(f32::to_le_bytes).concat()).collect();
+    let uvs = buffer.len();
+    buffer.extend(mesh.uvs.iter().flat_map(|uv| uv.to_array().map(f32::to_le_bytes).concat()));
+    let normals = buffer.len();
+    buffer.extend(mesh.normals.iter().flat_map(|n| n.to_array().map(f32::to_le_bytes).concat()));
+    let indices = buffer.len();
+    buffer.extend(mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()));
+    let views = [(0, uvs), (uvs, normals - uvs), (normals, indices - normals), (indices, buffer.len() - indices)];
+    let document = json!({
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1, 2, 3, 4]}],
+        "nodes": nodes,
+        "cameras": [{"type": "perspective", "perspective": {"yfov": field, "aspectRatio": 2.0, "znear": 0.1}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1, "NORMAL": 2}, "indices": 3}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", "min": [0, 0, 0], "max": [4, 3, 2.5]},
+            {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5126, "count": 8, "type": "VEC3"},
+            {"bufferView": 3, "componentType": 5125, "count": 12, "type": "SCALAR"},
+        ],
+        "bufferViews": views.map(|(at, length)| json!({"buffer": 0, "byteOffset": at, "byteLength": length})),
+        "buffers": [{"uri": "scene.bin", "byteLength": buffer.len()}],
+    });
+    std::fs::write(root.join("scene.bin"), buffer).unwrap();
+    std::fs::write(root.join("scene.gltf"), document.to_string()).unwrap();
+    write_images(&root.join("images"), |i| format!("View.00{i}.exr"));
+    folder
 }
 
 #[test]
 fn gltf_cameras_and_panoramas() {
     for (projection, camera) in [(pinhole(), true), (Projection::Equirectangular, false)] {
-        let folder = tempfile::tempdir().unwrap();
-        let root = folder.path();
-        let from_texir = source_from_texir(Vec3::Y);
-        let field = 2.0 * (0.5 * HEIGHT as f64 / 5.0).atan();
-        let mut nodes = vec![json!({"mesh": 0, "name": "flat", "matrix": from_texir.to_cols_array()})];
-        for (i, pose) in poses().into_iter().enumerate() {
-            let mut node = json!({"name": format!("View.00{i}"), "matrix": (from_texir * pose).to_cols_array()});
-            if camera {
-                node["camera"] = json!(0);
-            }
-            nodes.push(node);
-        }
-        let mesh = mesh();
-        let mut buffer: Vec<u8> =
-            mesh.positions.iter().flat_map(|p| p.to_array().map(f32::to_le_bytes).concat()).collect();
-        let uvs = buffer.len();
-        buffer.extend(mesh.uvs.iter().flat_map(|uv| uv.to_array().map(f32::to_le_bytes).concat()));
-        let normals = buffer.len();
-        buffer.extend(mesh.normals.iter().flat_map(|n| n.to_array().map(f32::to_le_bytes).concat()));
-        let indices = buffer.len();
-        buffer.extend(mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()));
-        let views = [(0, uvs), (uvs, normals - uvs), (normals, indices - normals), (indices, buffer.len() - indices)];
-        let document = json!({
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": [0, 1, 2, 3, 4]}],
-            "nodes": nodes,
-            "cameras": [{"type": "perspective", "perspective": {"yfov": field, "aspectRatio": 2.0, "znear": 0.1}}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1, "NORMAL": 2}, "indices": 3}]}],
-            "accessors": [
-                {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", "min": [0, 0, 0], "max": [4, 3, 2.5]},
-                {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC2"},
-                {"bufferView": 2, "componentType": 5126, "count": 8, "type": "VEC3"},
-                {"bufferView": 3, "componentType": 5125, "count": 12, "type": "SCALAR"},
-            ],
-            "bufferViews": views.map(|(at, length)| json!({"buffer": 0, "byteOffset": at, "byteLength": length})),
-            "buffers": [{"uri": "scene.bin", "byteLength": buffer.len()}],
-        });
-        std::fs::write(root.join("scene.bin"), buffer).unwrap();
-        std::fs::write(root.join("scene.gltf"), document.to_string()).unwrap();
-        write_images(&root.join("images"), |i| format!("View.00{i}.exr"));
+        let folder = gltf(camera);
         assert_reads(&folder, "gltf", projection);
         if camera {
-            std::fs::remove_file(root.join("images/View.001.exr")).unwrap();
+            std::fs::remove_file(folder.path().join("images/View.001.exr")).unwrap();
             assert_says(&complaint(&folder), &["scene.gltf", "View.001", "without an image"]);
         }
     }
 }
 
-#[test]
-fn nerfstudio_is_read_with_all_that_belongs_to_it() {
+/// The scene as texir's own capture.
+pub(super) fn nerfstudio() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let view = |(i, camera): (usize, Camera)| View {
@@ -328,8 +363,14 @@ fn nerfstudio_is_read_with_all_that_belongs_to_it() {
     write_png_labels(root.join("ids.png"), &Labels::filled(WIDTH, HEIGHT, 300)).unwrap();
     write_gray(root.join("rough.exr"), &Gray::filled(WIDTH, HEIGHT, 0.25)).unwrap();
     write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
+    folder
+}
+
+#[test]
+fn nerfstudio_is_read_with_all_that_belongs_to_it() {
+    let folder = nerfstudio();
     let read = assert_reads(&folder, "nerfstudio", pinhole());
-    assert!(is_capture(root).unwrap());
+    assert!(is_capture(folder.path()).unwrap());
 
     let out = tempfile::tempdir().unwrap();
     let options = ImportOptions { link: cfg!(unix), ..ImportOptions::default() };
