@@ -1,6 +1,8 @@
 //! `texir inspect`: a dry run. What was found in a capture and what is assumed of it, whether its cameras and its atlas make
 //! sense, and what a fit will cost.
 
+use std::path::PathBuf;
+
 use clap::Args;
 use glam::Mat4;
 use serde::Serialize;
@@ -16,7 +18,7 @@ use texir_core::mesh_io::atlas_report;
 use texir_core::scene::Scene;
 
 use super::import::SourceArgs;
-use super::{CaptureArgs, Session};
+use super::{CaptureArgs, Session, overlay};
 use crate::console::count;
 use crate::failure::Failure;
 
@@ -36,6 +38,9 @@ pub struct Inspect {
     capture: CaptureArgs,
     #[command(flatten)]
     source: SourceArgs,
+    /// Write every view with the mesh's edges drawn over it: where they lie beside the photo's, something is wrong
+    #[arg(long, value_name = "FOLDER")]
+    overlay: Option<PathBuf>,
 }
 
 /// What `--json` prints.
@@ -129,6 +134,16 @@ impl Inspect {
     /// Looks, and says what was seen.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (capture, origin) = self.open(session)?;
+        if let Some(folder) = &self.overlay {
+            if !origin.capture {
+                return Err(Failure::new(
+                    "--overlay needs a capture: lenses and 8-bit images have to be converted first",
+                )
+                .help("make one with `texir import`"));
+            }
+            let scene = Scene::new(capture.mesh.clone())?;
+            overlay::write(&mut CpuBackend::new(&scene), &capture.mesh, &capture.views, folder, session.console)?;
+        }
         let findings = inspect(&capture, origin, &session.config.fit)?;
         session.print(&findings, || text(&findings))
     }
