@@ -67,7 +67,7 @@ fn a_list_of_panoramas_becomes_the_capture_that_it_came_from() {
 #[test]
 fn brackets_become_one_linear_image() {
     let capture = Capture::new();
-    let truth: Vec<f32> = (0..64).map(|i| 0.01 * 1.15_f32.powi(i)).collect();
+    let truth: Vec<f32> = (0..64).map(|i| 0.1 * 1.12_f32.powi(i)).collect();
     let mut arguments: Vec<std::ffi::OsString> = vec!["hdr".into()];
     for (i, time) in [1.0, 0.1, 0.01, 0.001].into_iter().enumerate() {
         let shot = Rgb::new(64, 1, truth.iter().map(|v| [v * time; 3]).collect()).unwrap();

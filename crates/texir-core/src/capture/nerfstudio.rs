@@ -2,11 +2,13 @@
 //!
 //! Poses are camera-to-world with OpenGL axes, which is what [`Camera`] holds. Paths are relative to the file's folder.
 
-use std::collections::{HashMap, HashSet};
-use std::path::{Component, Path, PathBuf};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::import::files::view_names;
+use super::import::numbers::read_text;
 use super::import::{Distortion, Shot};
 use super::{Split, View, pose};
 use crate::atomic_file::write_atomic;
@@ -101,7 +103,7 @@ pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
 
 /// Reads posed views and their lenses. Only the file itself is read and checked.
 pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+    let text = read_text(path)?;
     let file: Transforms = serde_json::from_str(&text)
         .map_err(|e| Error::file(path, format!("is no transforms.json as nerfstudio writes it: {e}")))?;
     if file.frames.is_empty() {
@@ -144,35 +146,19 @@ impl Place<'_> {
     }
 }
 
-/// File stems; where two frames share one (`left/0.exr`, `right/0.exr`), the whole path with `_` between its parts.
+/// The views' names; each image may appear once.
 fn names(path: &Path, frames: &[Frame]) -> Result<Vec<String>> {
-    let mut uses = HashMap::<String, usize>::new();
-    let stem = |frame: &Frame| Path::new(&frame.file_path).file_stem().map(|s| s.to_string_lossy().into_owned());
-    for frame in frames {
-        *uses.entry(stem(frame).unwrap_or_default()).or_default() += 1;
-    }
     let mut taken = HashSet::new();
-    let mut name = |(index, frame): (usize, &Frame)| {
+    for (index, frame) in frames.iter().enumerate() {
         let place = Place { path, index, file_path: &frame.file_path };
-        let stem = stem(frame).ok_or_else(|| place.error("file_path", "names no file; expected the view's image"))?;
-        let name = if uses[&stem] == 1 {
-            stem
-        } else {
-            let parts = Path::new(&frame.file_path).with_extension("");
-            let parts = parts.components().filter_map(|c| match c {
-                Component::Normal(part) => Some(part.to_string_lossy().into_owned()),
-                _ => None,
-            });
-            parts.collect::<Vec<_>>().join("_")
-        };
-        if !taken.insert(name.clone()) {
-            return Err(
-                place.error("file_path", format!("gives the name {name:?} a second time; expected each view once"))
-            );
+        if Path::new(&frame.file_path).file_stem().is_none() {
+            return Err(place.error("file_path", "names no file; expected the view's image"));
         }
-        Ok(name)
-    };
-    frames.iter().enumerate().map(&mut name).collect()
+        if !taken.insert(frame.file_path.as_str()) {
+            return Err(place.error("file_path", "is there a second time; expected each view once"));
+        }
+    }
+    Ok(view_names(frames.iter().map(|frame| frame.file_path.as_str())))
 }
 
 /// nerfstudio's lists of file names, for frames without a `split`.

@@ -224,7 +224,7 @@ fn every_unusable_field_of_transforms_json_is_named_with_its_value() {
         ("/frames/1/transform_matrix/0/0", json!("x"), vec!["expected f64"]),
         ("/frames/1/split", json!("both"), vec!["split is \"both\"", "train"]),
         ("/frames/1/file_path", json!(""), vec!["file_path names no file"]),
-        ("/frames/1/file_path", json!("hdr/view_0.exr"), vec!["file_path", "\"hdr_view_0\" a second time"]),
+        ("/frames/1/file_path", json!("hdr/view_0.exr"), vec!["file_path", "hdr/view_0.exr", "a second time"]),
         ("/camera_model", json!("OPENCV_FISHEYE"), vec!["camera_model is OPENCV_FISHEYE", "texir import"]),
         ("/camera_model", Value::Null, vec!["camera_model is missing"]),
         ("/w", json!(0), vec!["w is 0"]),

@@ -1,5 +1,6 @@
 //! Finding files by their names, where formats leave it open how exactly they are called.
 
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Extensions of linear images, which are preferred to what a photo program was fed with.
@@ -23,14 +24,19 @@ pub(super) fn image(folder: &Path, places: &[&str], name: &str) -> PathBuf {
 
 /// Replaces an image's extension; a name without one (`r_0`, `scan.12`) gets it.
 fn with_extension(path: &Path, extension: &str) -> PathBuf {
-    let known = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-    if known.is_some_and(|known| LINEAR.iter().chain(&ENCODED).any(|e| *e == known)) {
+    if is_image(path) {
         return path.with_extension(extension);
     }
     let mut name = path.as_os_str().to_owned();
     name.push(".");
     name.push(extension);
     name.into()
+}
+
+/// The name ends as an image's does.
+fn is_image(path: &Path) -> bool {
+    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    extension.is_some_and(|extension| LINEAR.iter().chain(&ENCODED).any(|e| *e == extension))
 }
 
 /// `mesh.*`, else the only mesh among the folder's files.
@@ -59,19 +65,17 @@ pub(super) fn with_extensions(folder: &Path, extensions: &[&str]) -> Vec<PathBuf
 
 /// Names for views from their file names: stems, and where two files share one, the whole path with `_` between its
 /// parts, and a number behind those that still clash.
-pub(super) fn view_names<'a>(files: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+pub(in crate::capture) fn view_names<'a>(files: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
     let stem = |file: &str| {
         let path = Path::new(file);
-        let known = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-        let known = known.is_some_and(|known| LINEAR.iter().chain(&ENCODED).any(|e| *e == known));
-        let stem = if known { path.file_stem() } else { path.file_name() };
+        let stem = if is_image(path) { path.file_stem() } else { path.file_name() };
         stem.map_or_else(|| "view".to_owned(), |s| s.to_string_lossy().into_owned())
     };
-    let mut uses = std::collections::HashMap::<String, usize>::new();
+    let mut uses = HashMap::<String, usize>::new();
     for file in files.clone() {
         *uses.entry(stem(file)).or_default() += 1;
     }
-    let mut taken = std::collections::HashSet::new();
+    let mut taken = HashSet::new();
     let name = |file: &str| {
         let stem = stem(file);
         let parent = Path::new(file).parent().map(|p| p.to_string_lossy().into_owned()).unwrap_or_default();

@@ -6,13 +6,13 @@
 
 mod blender;
 mod colmap;
-mod files;
+pub(super) mod files;
 mod frame;
 mod gltf;
 mod lens;
 mod matterport;
 mod nerfstudio;
-mod numbers;
+pub(super) mod numbers;
 mod panoramas;
 mod texir_authors;
 mod write;

@@ -7,7 +7,7 @@ use glam::DMat4;
 use crate::capture::pose;
 use crate::error::{Error, Result};
 
-pub(super) fn read_text(path: &Path) -> Result<String> {
+pub(in crate::capture) fn read_text(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))
 }
 

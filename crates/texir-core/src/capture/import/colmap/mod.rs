@@ -48,9 +48,11 @@ struct Model {
     number: i32,
     name: &'static str,
     parameters: usize,
-    /// fx, fy, cx, cy and the lens.
-    intrinsics: fn(&[f64]) -> ([f64; 4], Option<Distortion>),
+    intrinsics: fn(&[f64]) -> Intrinsics,
 }
+
+/// fx, fy, cx, cy and the lens.
+type Intrinsics = ([f64; 4], Option<Distortion>);
 
 fn radial(k: [f64; 4], tangential: [f64; 2]) -> Option<Distortion> {
     Distortion::radial(k, [0.0; 3], tangential)

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::str::{FromStr, SplitWhitespace};
 
+use super::super::numbers::read_text;
 use super::{Image, Sensor, camera_model};
 use crate::error::{Error, Result};
 
@@ -24,11 +25,7 @@ impl Line<'_> {
     }
 }
 
-fn read(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))
-}
-
-/// The lines that hold something, with their numbers.
+/// The lines, with their numbers.
 fn lines<'a>(path: &'a Path, text: &'a str) -> impl Iterator<Item = (Line<'a>, &'a str)> {
     (1..).zip(text.lines()).map(move |(number, line)| (Line { path, number }, line.trim()))
 }
@@ -39,7 +36,7 @@ fn holds_data(line: &str) -> bool {
 
 /// `CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS`.
 pub(super) fn cameras(path: &Path) -> Result<Vec<Sensor>> {
-    let text = read(path)?;
+    let text = read_text(path)?;
     let camera = |(place, line): (Line, &str)| {
         let mut words = line.split_whitespace();
         let id = place.next(&mut words, "CAMERA_ID")?;
@@ -57,7 +54,7 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<Sensor>> {
 
 /// `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, each followed by a line of points, which may be empty.
 pub(super) fn images(path: &Path) -> Result<Vec<Image>> {
-    let text = read(path)?;
+    let text = read_text(path)?;
     let mut lines = lines(path, &text);
     let mut images = Vec::new();
     while let Some((place, line)) = lines.next() {

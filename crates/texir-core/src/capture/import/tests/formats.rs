@@ -344,6 +344,10 @@ fn gltf_cameras_and_panoramas() {
         if camera {
             std::fs::remove_file(folder.path().join("images/View.001.exr")).unwrap();
             assert_says(&complaint(&folder), &["scene.gltf", "View.001", "without an image"]);
+            let path = folder.path().join("scene.gltf");
+            let text = std::fs::read_to_string(&path).unwrap();
+            std::fs::write(path, text.replace("\"accessors\"", "\"ccessors\"")).unwrap();
+            assert_says(&complaint(&folder), &["scene.gltf", "POSITION is accessor 0"]);
         }
     }
 }
