@@ -19,6 +19,7 @@ pub mod error;
 pub mod eval;
 pub mod fit;
 pub mod glb;
+pub mod hdr;
 pub mod image_io;
 mod inpaint;
 pub mod lights;

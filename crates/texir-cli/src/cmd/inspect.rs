@@ -1,19 +1,24 @@
 //! `texir inspect`: a dry run. What was found in a capture and what is assumed of it, whether its cameras and its atlas make
 //! sense, and what a fit will cost.
 
+use std::path::PathBuf;
+
 use clap::Args;
 use glam::Mat4;
 use serde::Serialize;
 use texir_core::backend::Backend;
 use texir_core::camera::{Camera, Projection};
+use texir_core::capture::import::{self, Import};
 use texir_core::capture::{Capture, Split, View};
 use texir_core::cpu::CpuBackend;
 use texir_core::fit::FitSettings;
+use texir_core::image_io::is_encoded;
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
 use texir_core::scene::Scene;
 
-use super::{CaptureArgs, Session};
+use super::import::SourceArgs;
+use super::{CaptureArgs, Session, overlay};
 use crate::console::count;
 use crate::failure::Failure;
 
@@ -31,17 +36,35 @@ const INSIDE_OUT: f64 = 0.3;
 pub struct Inspect {
     #[command(flatten)]
     capture: CaptureArgs,
+    #[command(flatten)]
+    source: SourceArgs,
+    /// Write every view with the mesh's edges drawn over it: where they lie beside the photo's, something is wrong
+    #[arg(long, value_name = "FOLDER")]
+    overlay: Option<PathBuf>,
 }
 
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Findings {
     capture: String,
+    origin: Origin,
     mesh: MeshFindings,
     atlas: AtlasFindings,
     views: Vec<ViewFindings>,
     known: Known,
     estimate: Estimate,
+    warnings: Vec<String>,
+}
+
+/// Which program the files come from, and what that was taken to mean.
+#[derive(Serialize)]
+struct Origin {
+    format: String,
+    /// The folder is a capture; otherwise `texir import` makes one of it.
+    capture: bool,
+    assumed: Vec<String>,
+    /// What an import will ask for or do, in sentences.
+    #[serde(skip)]
     warnings: Vec<String>,
 }
 
@@ -110,13 +133,69 @@ struct Estimate {
 impl Inspect {
     /// Looks, and says what was seen.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        let capture = self.capture.load(session)?;
-        let findings = inspect(&capture, &session.config.fit)?;
+        let (capture, origin) = self.open(session)?;
+        if let Some(folder) = &self.overlay {
+            if !origin.capture {
+                return Err(Failure::new(
+                    "--overlay needs a capture: lenses and 8-bit images have to be converted first",
+                )
+                .help("make one with `texir import`"));
+            }
+            let scene = Scene::new(capture.mesh.clone())?;
+            overlay::write(&mut CpuBackend::new(&scene), &capture.mesh, &capture.views, folder, session.console)?;
+        }
+        let findings = inspect(&capture, origin, &session.config.fit)?;
         session.print(&findings, || text(&findings))
+    }
+
+    /// A capture as every command loads it; other programs' files as they would be after an import.
+    fn open(&self, session: &Session<'_>) -> Result<(Capture, Origin), Failure> {
+        let CaptureArgs { capture: folder, mesh, .. } = &self.capture;
+        if !self.source.are_given() && import::is_capture(folder)? {
+            return Ok((self.capture.load(session)?, Origin::of_capture()));
+        }
+        let source = import::read(folder, &self.source.options(mesh.clone()), session.console)?;
+        Ok((source.preview(), Origin::of_import(&source)))
     }
 }
 
-fn inspect(capture: &Capture, settings: &FitSettings) -> Result<Findings, Failure> {
+impl Origin {
+    fn of_capture() -> Self {
+        Self {
+            format: "texir (nerfstudio's transforms.json without distortion)".to_owned(),
+            capture: true,
+            assumed: vec![
+                "poses are camera-to-world with OpenGL axes (−Z forward, +Y up)".to_owned(),
+                "units are metres, +Z is up".to_owned(),
+            ],
+            warnings: Vec::new(),
+        }
+    }
+
+    fn of_import(source: &Import) -> Self {
+        let mut warnings = Vec::new();
+        let mut about = |what: &str, views: Vec<&View>| {
+            if let Some(first) = views.first() {
+                let (number, all) = (views.len(), source.shots.len());
+                warnings.push(format!("{number} of {all} images {what}; the first is {}", first.image.display()));
+            }
+        };
+        let views = || source.shots.iter().map(|shot| &shot.view);
+        about("do not exist", views().filter(|v| !v.image.is_file()).collect());
+        about(
+            "hold 8 or 16-bit values: merge bracketed exposures with `texir hdr`, or import with --curve as a last resort",
+            views().filter(|v| is_encoded(&v.image).unwrap_or(false)).collect(),
+        );
+        let mut assumed = source.assumed.clone();
+        let distorted = source.shots.iter().filter(|shot| shot.distortion.is_some()).count();
+        if distorted > 0 {
+            assumed.push(format!("{distorted} images are distorted by their lenses; `texir import` undistorts them"));
+        }
+        Self { format: source.format.to_owned(), capture: false, assumed, warnings }
+    }
+}
+
+fn inspect(capture: &Capture, origin: Origin, settings: &FitSettings) -> Result<Findings, Failure> {
     let mesh = &capture.mesh;
     let size = match (settings.atlas_size, &capture.tbl) {
         (0, Some(tbl)) => tbl.radiance.width,
@@ -150,9 +229,10 @@ fn inspect(capture: &Capture, settings: &FitSettings) -> Result<Findings, Failur
         estimate: estimate(capture, settings, size, covered_texels),
         atlas,
         views,
-        warnings: Vec::new(),
+        warnings: origin.warnings.clone(),
+        origin,
     };
-    findings.warnings = warnings(&findings);
+    findings.warnings.extend(warnings(&findings));
     Ok(findings)
 }
 
@@ -274,16 +354,16 @@ fn warnings(findings: &Findings) -> Vec<String> {
 }
 
 fn text(findings: &Findings) -> String {
-    let Findings { mesh, atlas, known, estimate, .. } = findings;
+    let Findings { origin, mesh, atlas, known, estimate, .. } = findings;
     let mut out = String::new();
     let mut line = |name: &str, value: String| out.push_str(&format!("{name:>16}  {value}\n"));
     line("capture", findings.capture.clone());
+    let next = if origin.capture { "" } else { "; `texir import` makes a capture of it" };
+    line("format", format!("{}{next}", origin.format));
+    origin.assumed.iter().for_each(|assumed| line("assumed", assumed.clone()));
     line("mesh", format!("{}, {} triangles, {} vertices", mesh.file, mesh.triangles, mesh.vertices));
     let [x, y, z] = mesh.size;
-    line(
-        "extent",
-        format!("{x:.2} × {y:.2} × {z:.2} m, {:.1} m² of surface; +Z is taken as up, units as metres", mesh.area),
-    );
+    line("extent", format!("{x:.2} × {y:.2} × {z:.2} m (z is up), {:.1} m² of surface", mesh.area));
     line(
         "atlas",
         format!(

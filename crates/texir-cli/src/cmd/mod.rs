@@ -4,7 +4,10 @@ mod bake;
 mod demo;
 mod eval;
 mod fit;
+mod hdr;
+mod import;
 mod inspect;
+mod overlay;
 mod render;
 mod report;
 mod tbl;
@@ -27,6 +30,10 @@ pub enum Command {
     Demo(demo::Demo),
     /// Dry run: what is found in a capture and assumed of it, checks of cameras and atlas, cost of a fit
     Inspect(inspect::Inspect),
+    /// Merge bracketed exposures of one view to a linear image
+    Hdr(hdr::Hdr),
+    /// Make a capture of what other programs write: COLMAP, nerfstudio, Blender, Matterport3D, lists of panoramas, ...
+    Import(import::Import),
     /// Build the HDR texture (texture-based lighting) of a capture from its views
     Tbl(tbl::Tbl),
     /// Bake irradiance: what light arrives at every texel of the atlas
@@ -70,6 +77,8 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
     match command {
         Command::Demo(command) => command.run(session),
         Command::Inspect(command) => command.run(session),
+        Command::Hdr(command) => command.run(session),
+        Command::Import(command) => command.run(session),
         Command::Tbl(command) => command.run(session),
         Command::Bake(command) => command.run(session),
         Command::Fit(command) => command.run(session),

@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod commands;
+mod import;
 mod interrupt;
 mod room;
 mod texir;

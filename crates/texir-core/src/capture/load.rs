@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Capture, LoadOptions, Split, Tbl, Truth, View, nerfstudio};
+use super::{Capture, LoadOptions, Split, Tbl, Truth, View, import, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb, read_size, sanitise_radiance};
 use crate::mesh::Mesh;
@@ -28,6 +28,12 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
     let root = folder.as_ref().to_owned();
     if !root.is_dir() {
         return Err(Error::file(&root, "is no folder; expected a capture: transforms.json, a mesh and its images"));
+    }
+    if !root.join("transforms.json").exists()
+        && let Ok(importer) = import::detect(&root, None)
+    {
+        let what = format!("is no capture yet, but files of {}; make a capture of it: `texir import`", importer.name());
+        return Err(Error::file(&root, what));
     }
     let views = nerfstudio::read_transforms(root.join("transforms.json"))?;
     if !views.iter().any(|v| v.split == Split::Train) {

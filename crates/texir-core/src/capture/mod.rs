@@ -1,7 +1,10 @@
-//! A capture: a mesh, posed HDR views, and what is known about them. One file per format; [`load`] finds the right one.
+//! A capture: a mesh, posed HDR views, and what is known about them. [`load`] reads texir's own folder; [`import`] makes one
+//! of other programs' files.
 
+pub mod import;
 mod load;
 pub mod nerfstudio;
+mod pose;
 mod tbl_file;
 mod view;
 

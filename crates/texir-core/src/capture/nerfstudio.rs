@@ -2,19 +2,18 @@
 //!
 //! Poses are camera-to-world with OpenGL axes, which is what [`Camera`] holds. Paths are relative to the file's folder.
 
-use std::collections::{HashMap, HashSet};
-use std::path::{Component, Path, PathBuf};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DMat4, DVec4};
 use serde::{Deserialize, Serialize};
 
-use super::{Split, View};
+use super::import::files::view_names;
+use super::import::numbers::read_text;
+use super::import::{Distortion, Shot};
+use super::{Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
-
-/// A rotation may differ from an orthonormal one by this much per entry of RᵀR: files with few digits, f32 arithmetic.
-const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
 
 #[derive(Default, Deserialize, Serialize)]
 struct Transforms {
@@ -83,10 +82,28 @@ struct Frame {
     transform_matrix: Vec<Vec<f64>>,
 }
 
-/// Reads posed views. Only the file itself is read and checked; whether the images exist is the caller's concern.
+/// Reads posed views without distortion. Only the file itself is read and checked; whether the images exist is the
+/// caller's concern.
 pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
     let path = path.as_ref();
-    let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let undistorted = |(index, shot): (usize, Shot)| match shot.distortion {
+        None => Ok(shot.view),
+        Some(distortion) => {
+            let what = format!(
+                "frames[{index}] ({}): {}; expected no distortion: undistort the images with `texir import`",
+                relative(folder, &shot.view.image),
+                distortion.describe()
+            );
+            Err(Error::file(path, what))
+        }
+    };
+    read_shots(path)?.into_iter().enumerate().map(undistorted).collect()
+}
+
+/// Reads posed views and their lenses. Only the file itself is read and checked.
+pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
+    let text = read_text(path)?;
     let file: Transforms = serde_json::from_str(&text)
         .map_err(|e| Error::file(path, format!("is no transforms.json as nerfstudio writes it: {e}")))?;
     if file.frames.is_empty() {
@@ -98,9 +115,10 @@ pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
     let view = |(index, (frame, name)): (usize, (&Frame, String))| {
         let place = Place { path, index, file_path: &frame.file_path };
         let local = |file: &Option<String>| file.as_ref().map(|file| folder.join(file));
-        Ok(View {
+        let model = frame.model.or(&file.model);
+        let view = View {
             name,
-            camera: frame.model.or(&file.model).camera(&place, &frame.transform_matrix)?,
+            camera: model.camera(&place, &frame.transform_matrix)?,
             split: splits.of(&place, frame)?,
             image: folder.join(&frame.file_path),
             semantic: local(&frame.semantic_path),
@@ -109,7 +127,8 @@ pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
             room_id: frame.room_id,
             albedo: local(&frame.albedo_path),
             roughness: local(&frame.roughness_path),
-        })
+        };
+        Ok(Shot { distortion: model.distortion(&place)?, ..view.into() })
     };
     file.frames.iter().zip(names).enumerate().map(view).collect()
 }
@@ -127,35 +146,19 @@ impl Place<'_> {
     }
 }
 
-/// File stems; where two frames share one (`left/0.exr`, `right/0.exr`), the whole path with `_` between its parts.
+/// The views' names; each image may appear once.
 fn names(path: &Path, frames: &[Frame]) -> Result<Vec<String>> {
-    let mut uses = HashMap::<String, usize>::new();
-    let stem = |frame: &Frame| Path::new(&frame.file_path).file_stem().map(|s| s.to_string_lossy().into_owned());
-    for frame in frames {
-        *uses.entry(stem(frame).unwrap_or_default()).or_default() += 1;
-    }
     let mut taken = HashSet::new();
-    let mut name = |(index, frame): (usize, &Frame)| {
+    for (index, frame) in frames.iter().enumerate() {
         let place = Place { path, index, file_path: &frame.file_path };
-        let stem = stem(frame).ok_or_else(|| place.error("file_path", "names no file; expected the view's image"))?;
-        let name = if uses[&stem] == 1 {
-            stem
-        } else {
-            let parts = Path::new(&frame.file_path).with_extension("");
-            let parts = parts.components().filter_map(|c| match c {
-                Component::Normal(part) => Some(part.to_string_lossy().into_owned()),
-                _ => None,
-            });
-            parts.collect::<Vec<_>>().join("_")
-        };
-        if !taken.insert(name.clone()) {
-            return Err(
-                place.error("file_path", format!("gives the name {name:?} a second time; expected each view once"))
-            );
+        if Path::new(&frame.file_path).file_stem().is_none() {
+            return Err(place.error("file_path", "names no file; expected the view's image"));
         }
-        Ok(name)
-    };
-    frames.iter().enumerate().map(&mut name).collect()
+        if !taken.insert(frame.file_path.as_str()) {
+            return Err(place.error("file_path", "is there a second time; expected each view once"));
+        }
+    }
+    Ok(view_names(frames.iter().map(|frame| frame.file_path.as_str())))
 }
 
 /// nerfstudio's lists of file names, for frames without a `split`.
@@ -212,10 +215,10 @@ impl CameraModel {
     fn camera(&self, place: &Place, rows: &[Vec<f64>]) -> Result<Camera> {
         let projection = match self.camera_model.as_deref() {
             Some("EQUIRECTANGULAR") => Projection::Equirectangular,
-            Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV") => self.pinhole(place)?,
+            Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "OPENCV_FISHEYE") => self.pinhole(place)?,
             other => {
                 let found = other.unwrap_or("missing");
-                let what = format!("is {found}; expected EQUIRECTANGULAR, PINHOLE, or OPENCV without distortion");
+                let what = format!("is {found}; expected EQUIRECTANGULAR, PINHOLE, OPENCV or OPENCV_FISHEYE");
                 return Err(place.error("camera_model", what));
             }
         };
@@ -223,21 +226,26 @@ impl CameraModel {
             projection,
             width: size(place, "w", self.w)?,
             height: size(place, "h", self.h)?,
-            world_from_camera: pose(place, rows)?.as_mat4(),
+            world_from_camera: pose::from_rows(rows).map_err(|e| place.error("transform_matrix", e))?.as_mat4(),
         })
     }
 
-    fn pinhole(&self, place: &Place) -> Result<Projection> {
-        let distortion =
-            [("k1", self.k1), ("k2", self.k2), ("k3", self.k3), ("k4", self.k4), ("p1", self.p1), ("p2", self.p2)];
-        if let Some((field, value)) = distortion.iter().find_map(|(field, v)| Some((*field, v.filter(|v| *v != 0.0)?)))
-        {
-            let what = format!(
-                "is {value}; expected 0, no distortion: undistort the images first (colmap \
-                                image_undistorter, or nerfstudio's own export)"
-            );
-            return Err(place.error(field, what));
+    /// The lens: nerfstudio's OPENCV takes k4 for the coefficient of r⁸, and its fisheye is OpenCV's.
+    fn distortion(&self, place: &Place) -> Result<Option<Distortion>> {
+        let [k1, k2, k3, k4, p1, p2] =
+            [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(Option::unwrap_or_default);
+        let distortion = match self.camera_model.as_deref() {
+            Some("EQUIRECTANGULAR") => None,
+            Some("OPENCV_FISHEYE") => Some(Distortion::Fisheye { k: [k1, k2, k3, k4] }),
+            _ => Distortion::radial([k1, k2, k3, k4], [0.0; 3], [p1, p2]),
+        };
+        match distortion {
+            Some(d) if !d.is_finite() => Err(place.error("k1 to p2", "are not all finite; expected numbers")),
+            distortion => Ok(distortion),
         }
+    }
+
+    fn pinhole(&self, place: &Place) -> Result<Projection> {
         let focal = |field, value: Option<f64>| match value {
             Some(v) if v > 0.0 && v.is_finite() => Ok(v as f32),
             _ => Err(place.error(field, format!("is {}; expected a focal length in pixels", shown(value)))),
@@ -285,49 +293,6 @@ fn size(place: &Place, field: &str, value: Option<f64>) -> Result<usize> {
             Err(place.error(field, format!("is {}; expected the image's size, a whole number of pixels", shown(value))))
         }
     }
-}
-
-/// `world_from_camera`, once it is known to be rigid.
-fn pose(place: &Place, rows: &[Vec<f64>]) -> Result<DMat4> {
-    let wrong = |what: String| Err(place.error("transform_matrix", what));
-    if !matches!(rows.len(), 3 | 4) || rows.iter().any(|row| row.len() != 4) {
-        let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
-        return wrong(format!("has rows of {lengths:?} numbers; expected 4 rows (or 3) of 4"));
-    }
-    let row = |i: usize| rows.get(i).map_or(DVec4::W, |row| DVec4::from_slice(row));
-    let matrix = DMat4::from_cols(row(0), row(1), row(2), row(3)).transpose();
-    if !matrix.is_finite() {
-        return wrong(format!("has the rows {rows:?}; expected finite numbers"));
-    }
-    if row(3) != DVec4::W {
-        return wrong(format!("has {} as its last row; expected [0, 0, 0, 1]: is the matrix transposed?", row(3)));
-    }
-    let rotation = DMat3::from_mat4(matrix);
-    let determinant = rotation.determinant();
-    let lengths = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|axis| axis.length());
-    // Relative to the lengths of the axes, so that a tiny but proper scale is not mistaken for a singular matrix.
-    let spanned = determinant / lengths.iter().product::<f64>();
-    if spanned.is_nan() || spanned.abs() <= 1e-6 {
-        return wrong(format!(
-            "is singular (determinant {determinant:.3e}); expected a rotation and a translation, camera to world"
-        ));
-    }
-    if determinant < 0.0 {
-        return wrong(format!(
-            "mirrors (determinant {determinant:.3}); expected a rotation of determinant +1: flip one axis, as when \
-             converting from a left-handed frame"
-        ));
-    }
-    let difference = rotation.transpose() * rotation - DMat3::IDENTITY;
-    let largest = difference.to_cols_array().into_iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    if largest > ORTHONORMAL_TOLERANCE {
-        return wrong(format!(
-            "is not rigid: its axes have the lengths {:.4}, {:.4}, {:.4} and RᵀR differs from 1 by {largest:.2e}; expected \
-             an orthonormal rotation: take the scale and the shear out of it",
-            lengths[0], lengths[1], lengths[2]
-        ));
-    }
-    Ok(matrix)
 }
 
 /// Writes views as `transforms.json`: what [`read_transforms`] reads back, and nerfstudio too. Paths under the file's

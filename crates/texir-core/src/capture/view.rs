@@ -1,14 +1,21 @@
 //! The pixels of a view, read when asked for and checked against its camera.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::View;
+use super::{Split, View};
+use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::image_io::{self, read_gray, read_labels, read_mask, read_rgb, sanitise_radiance};
 use crate::progress::Progress;
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 
 impl View {
+    /// A view of which nothing but the image is known.
+    pub fn new(name: String, camera: Camera, split: Split, image: PathBuf) -> Self {
+        let (semantic, mask, room, albedo, roughness) = (None, None, None, None, None);
+        Self { name, camera, split, image, semantic, mask, room, room_id: None, albedo, roughness }
+    }
+
     /// The radiance, linear. Channels that no radiance can have are set to 0, and a warning says how many.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         let mut image = self.sized(&self.image, read_rgb(&self.image)?)?;

@@ -21,7 +21,11 @@ pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
         check_size(path, header.layer_size.width(), header.layer_size.height())?;
     }
     match meta.headers.first() {
-        Some(header) => Ok(header.shared_attributes.display_window.size.into()),
+        Some(header) => {
+            let (width, height) = header.shared_attributes.display_window.size.into();
+            check_size(path, width, height)?;
+            Ok((width, height))
+        }
         None => Err(Error::file(path, "has no layer; expected an image")),
     }
 }

@@ -3,6 +3,7 @@
 //! Files are recognised by their first bytes, not by their names. Every writer leaves a whole file or none
 //! ([`crate::atomic_file`]).
 
+mod encoded;
 mod exr;
 mod png;
 
@@ -12,6 +13,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
+pub use self::encoded::{Encoded, TransferCurve, is_encoded, read_encoded};
 pub use self::exr::{write_gray, write_rgb};
 pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
 use crate::error::{Error, Result};
@@ -20,6 +22,10 @@ use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 /// Images with more pixels than this (16384²) are refused before memory is taken for them: a damaged header must not
 /// bring the machine down.
 const MAX_PIXELS: usize = 1 << 28;
+
+/// An image has at most this many pixels for each byte of its file (a one-bit PNG of one colour comes to half of that): a
+/// small damaged file must not ask for the memory of a large one.
+const MAX_PIXELS_PER_BYTE: usize = 1 << 14;
 
 /// What a file's first bytes say it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,11 +60,16 @@ fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
     Error::file(path, format!("cannot be read: {e}"))
 }
 
-/// An image of this size, read from `path`, fits the limit.
+/// An image of this size, read from `path`, fits the limits.
 fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
+    let bytes = std::fs::metadata(path).map_err(|e| cannot_read(path, e))?.len();
+    let limit = usize::try_from(bytes).unwrap_or(usize::MAX).saturating_mul(MAX_PIXELS_PER_BYTE).min(MAX_PIXELS);
     match width.checked_mul(height) {
-        Some(1..=MAX_PIXELS) => Ok(()),
-        _ => Err(Error::file(path, format!("is {width}×{height} pixels; expected 1 to {MAX_PIXELS} of them"))),
+        Some(pixels) if (1..=limit).contains(&pixels) => Ok(()),
+        _ => Err(Error::file(
+            path,
+            format!("is {width}×{height} pixels in {bytes} bytes; expected 1 to {limit} of them: is the file damaged?"),
+        )),
     }
 }
 
@@ -113,7 +124,8 @@ pub fn read_rgb(path: impl AsRef<Path>) -> Result<Rgb> {
             path,
             format!(
                 "is a {format:?}, whose 8-bit values are neither linear nor unclipped; expected linear values as \
-                 OpenEXR, Radiance HDR or float TIFF: merge the bracketed exposures, or convert with a known curve"
+                 OpenEXR, Radiance HDR or float TIFF: merge bracketed exposures with `texir hdr`, or, knowing the curve, \
+                 convert with `texir import --curve`"
             ),
         )),
     }

@@ -6,7 +6,8 @@ use glam::{Mat4, Vec2, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::Data;
 use gltf::mesh::Mode;
-use gltf::{Accessor, Gltf, Primitive, Semantic};
+use gltf::{Accessor, Document, Gltf, Primitive, Semantic};
+use gltf_json::validation::Checked;
 
 use super::{RawMesh, cannot_read};
 use crate::error::{Error, Result};
@@ -14,14 +15,33 @@ use crate::error::{Error, Result};
 /// The shortest possible GLB header; the parser takes this much for granted.
 const GLB_HEADER_BYTES: u32 = 12;
 
-pub(super) fn read(path: &Path) -> Result<RawMesh> {
+/// A glTF or GLB without its buffers.
+pub(crate) fn open(path: &Path) -> Result<Gltf> {
     let bytes = std::fs::read(path).map_err(|e| cannot_read(path, e))?;
     if let [b'g', b'l', b'T', b'F', _, _, _, _, a, b, c, d, ..] = bytes[..]
         && u32::from_le_bytes([a, b, c, d]) < GLB_HEADER_BYTES
     {
         return Err(Error::file(path, "says that it is shorter than a GLB's header; is it damaged?"));
     }
-    let Gltf { document, blob } = Gltf::from_slice(&bytes).map_err(|e| cannot_read(path, e))?;
+    let Gltf { document, blob } = Gltf::from_slice_without_validation(&bytes).map_err(|e| cannot_read(path, e))?;
+    let root = document.into_json();
+    // The validation takes this much for granted.
+    let position = Checked::Valid(Semantic::Positions);
+    let primitives = root.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    let positions = primitives.filter_map(|primitive| primitive.attributes.get(&position));
+    if let Some(index) = positions.map(|accessor| accessor.value()).find(|index| *index >= root.accessors.len()) {
+        let count = root.accessors.len();
+        return Err(Error::file(
+            path,
+            format!("POSITION is accessor {index}; expected one of the {count}: is it damaged?"),
+        ));
+    }
+    let document = Document::from_json(root).map_err(|e| cannot_read(path, e))?;
+    Ok(Gltf { document, blob })
+}
+
+pub(super) fn read(path: &Path) -> Result<RawMesh> {
+    let Gltf { document, blob } = open(path)?;
     let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| cannot_read(path, e))?;
     let scene = document
         .default_scene()
@@ -97,6 +117,11 @@ fn append(
 fn check_accessors(path: &Path, place: &str, primitive: &Primitive) -> Result<()> {
     use DataType::{F32, U8, U16, U32};
     let check = |name: &str, accessor: Option<Accessor>, shape: Dimensions, types: &[DataType]| match accessor {
+        // Zeros that stand nowhere in the file: a few bytes could ask for any number of them.
+        Some(a) if a.view().is_none() => Err(Error::file(
+            path,
+            format!("{place}: {name} has no bufferView; expected values, sparse or not, in a buffer"),
+        )),
         Some(a) if a.dimensions() != shape || !types.contains(&a.data_type()) || a.count() == 0 => Err(Error::file(
             path,
             format!(

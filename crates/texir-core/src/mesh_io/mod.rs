@@ -1,7 +1,7 @@
 //! Mesh files in and out: OBJ, PLY, glTF/GLB. Whatever the format, what comes out is one checked [`Mesh`].
 
 mod atlas;
-mod gltf;
+pub(crate) mod gltf;
 pub mod obj;
 mod ply;
 

@@ -1,0 +1,89 @@
+//! From a source's frame to texir's: metres, +Z against gravity.
+
+use glam::{DMat4, DQuat, DVec3, Vec3};
+
+use super::{ImportOptions, Source};
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+
+/// Cameras are held level more or less: when their mean up direction is this close to an axis, in degrees, the axis is
+/// meant.
+const SNAP_DEGREES: f64 = 10.0;
+
+/// A rotation after a scaling.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame {
+    texir_from_source: DQuat,
+    metres_per_unit: f64,
+}
+
+impl Frame {
+    /// What the user says, else what the format says, else what the cameras tell; adds to `assumed` how it came about.
+    pub(super) fn of(source: &Source, options: &ImportOptions, assumed: &mut Vec<String>) -> Result<Self> {
+        let up = match (options.up, source.up) {
+            (Some(up), _) => given(up, "as told")?,
+            (None, Some(up)) => given(up, "the format's convention")?,
+            (None, None) => from_cameras(source)?,
+        };
+        let (direction, why) = up;
+        let [x, y, z] = direction.to_array();
+        assumed.push(format!("up is ({x:.3}, {y:.3}, {z:.3}) of the source ({why}); it becomes +Z"));
+        let (metres_per_unit, why) = match (options.metres_per_unit, source.metres_per_unit) {
+            (Some(length), _) => (length, "as told"),
+            (None, Some(length)) => (length, "the format's convention"),
+            (None, None) => (1.0, "nothing says otherwise: compare the extent of the mesh with the real one"),
+        };
+        if !(metres_per_unit > 0.0 && metres_per_unit.is_finite()) {
+            return Err(Error::invalid(format!("metres per unit is {metres_per_unit}; expected a positive number")));
+        }
+        assumed.push(format!("a unit of the source is {metres_per_unit} m ({why})"));
+        Ok(Self { texir_from_source: DQuat::from_rotation_arc(direction, DVec3::Z), metres_per_unit })
+    }
+
+    /// The same view in metres, +Z up.
+    pub(super) fn place_camera(&self, camera: &Camera) -> Camera {
+        let mut pose = camera.world_from_camera.as_dmat4();
+        pose.w_axis = (pose.w_axis.truncate() * self.metres_per_unit).extend(1.0);
+        Camera { world_from_camera: (DMat4::from_quat(self.texir_from_source) * pose).as_mat4(), ..*camera }
+    }
+
+    /// The same surface in metres, +Z up.
+    pub(super) fn place_mesh(&self, mut mesh: Mesh) -> Mesh {
+        if self.texir_from_source == DQuat::IDENTITY && self.metres_per_unit == 1.0 {
+            return mesh;
+        }
+        for position in &mut mesh.positions {
+            *position = (self.texir_from_source * (position.as_dvec3() * self.metres_per_unit)).as_vec3();
+        }
+        for normal in &mut mesh.normals {
+            *normal = (self.texir_from_source * normal.as_dvec3()).as_vec3();
+        }
+        mesh
+    }
+}
+
+fn given(up: Vec3, why: &'static str) -> Result<(DVec3, &'static str)> {
+    let direction = up.as_dvec3().try_normalize();
+    direction.map(|d| (d, why)).ok_or_else(|| Error::invalid(format!("up is {up}; expected a direction")))
+}
+
+/// The mean of the cameras' own up directions, or the axis that is near it.
+fn from_cameras(source: &Source) -> Result<(DVec3, &'static str)> {
+    let sum: DVec3 = source.shots.iter().map(|s| s.view.camera.world_from_camera.y_axis.truncate().as_dvec3()).sum();
+    let mean = sum.try_normalize().ok_or_else(|| {
+        Error::invalid("the cameras do not tell what is up, and neither does the format: say it with --up")
+    })?;
+    let axes = [DVec3::Z, DVec3::Y, DVec3::X, DVec3::NEG_Z, DVec3::NEG_Y, DVec3::NEG_X];
+    let near = axes.into_iter().find(|axis| axis.dot(mean) > SNAP_DEGREES.to_radians().cos());
+    Ok(match near {
+        Some(axis) => (axis, "the axis nearest to the cameras' mean up direction"),
+        None => (mean, "the cameras' mean up direction; the format does not tell"),
+    })
+}
+
+/// The pose with OpenGL camera axes (y up, −z forward) of one with OpenCV's (y down, z forward).
+pub(super) fn opengl_from_opencv(world_from_camera: DMat4) -> DMat4 {
+    let DMat4 { x_axis, y_axis, z_axis, w_axis } = world_from_camera;
+    DMat4::from_cols(x_axis, -y_axis, -z_axis, w_axis)
+}

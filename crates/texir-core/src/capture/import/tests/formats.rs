@@ -1,0 +1,425 @@
+//! Round trips of every format.
+
+use serde_json::json;
+
+use super::*;
+use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels};
+use crate::raster::{Gray, Labels};
+
+/// The COLMAP model of the scene in a world of other orientation, text or binary.
+pub(super) fn colmap(up: Vec3, binary: bool) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let model = root.join("sparse/0");
+    std::fs::create_dir_all(&model).unwrap();
+    let quaternion_and_translation = |pose: DMat4| {
+        let (_, rotation, translation) = opencv(source_from_texir(up) * pose).inverse().to_scale_rotation_translation();
+        ([rotation.w, rotation.x, rotation.y, rotation.z], translation.to_array())
+    };
+    if binary {
+        let mut cameras = 1_u64.to_le_bytes().to_vec();
+        cameras.extend([7_u32.to_le_bytes(), 1_u32.to_le_bytes()].concat());
+        cameras.extend([WIDTH as u64, HEIGHT as u64].map(u64::to_le_bytes).concat());
+        cameras.extend([5.0, 5.0, WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0].map(f64::to_le_bytes).concat());
+        let mut images = (poses().len() as u64).to_le_bytes().to_vec();
+        for (i, pose) in poses().into_iter().enumerate() {
+            let (rotation, translation) = quaternion_and_translation(pose);
+            images.extend((i as u32 + 1).to_le_bytes());
+            images.extend(rotation.iter().chain(&translation).flat_map(|v| v.to_le_bytes()));
+            images.extend(7_u32.to_le_bytes());
+            images.extend(format!("photo {i}.jpg\0").as_bytes());
+            images.extend(2_u64.to_le_bytes());
+            images.extend([0x42; 48]);
+        }
+        std::fs::write(model.join("cameras.bin"), cameras).unwrap();
+        std::fs::write(model.join("images.bin"), images).unwrap();
+    } else {
+        let cameras = format!("# a comment\n7 SIMPLE_PINHOLE {WIDTH} {HEIGHT} 5 {} {}\n", WIDTH / 2, HEIGHT / 2);
+        let mut images = "# IMAGE_ID ...\n".to_owned();
+        for (i, pose) in poses().into_iter().enumerate() {
+            let ([w, x, y, z], [a, b, c]) = quaternion_and_translation(pose);
+            let points = ["", "1.5 2.5 -1 3.0 4.0 17"][i % 2];
+            images += &format!("{} {w} {x} {y} {z} {a} {b} {c} 7 photo {i}.jpg\n{points}\n", i + 1);
+        }
+        std::fs::write(model.join("cameras.txt"), cameras).unwrap();
+        std::fs::write(model.join("images.txt"), images).unwrap();
+    }
+    write_images(&root.join("images"), |i| format!("photo {i}.exr"));
+    write_mesh(&root.join("mesh.obj"), up, 1.0);
+    folder
+}
+
+#[test]
+fn colmap_text_and_binary() {
+    for binary in [false, true] {
+        for up in [Vec3::Z, Vec3::NEG_Y, Vec3::Y] {
+            assert_reads(&colmap(up, binary), "colmap", pinhole());
+        }
+    }
+}
+
+#[test]
+fn colmap_without_an_axis_near_up_takes_the_cameras_word_for_it() {
+    let up = Vec3::new(1.0, 1.0, 1.0).normalize();
+    let folder = colmap(up, true);
+    let read = super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
+    assert_says(&read.assumed.join("\n"), &["the cameras' mean up direction"]);
+    let heights: Vec<f32> = read.mesh.positions.iter().map(|p| p.z).collect();
+    assert!(heights[..4].iter().all(|z| z.abs() < 0.1) && heights[4..].iter().all(|z| (z - 2.5).abs() < 0.1));
+    let options = ImportOptions { up: Some(up), ..ImportOptions::default() };
+    let told = super::super::read(folder.path(), &options, &Silent).unwrap();
+    assert!((told.mesh.positions[4].z - 2.5).abs() < 1e-5);
+}
+
+#[test]
+fn units_become_metres() {
+    let folder = colmap(Vec3::Z, false);
+    let options = ImportOptions { metres_per_unit: Some(0.5), ..ImportOptions::default() };
+    let read = super::super::read(folder.path(), &options, &Silent).unwrap();
+    assert_eq!(read.mesh.positions[2], Vec3::new(2.0, 1.5, 0.0));
+    let (half, whole) = (read.shots[1].view.camera.position(), poses()[1].w_axis.truncate().as_vec3());
+    assert!((2.0 * half - whole).length() < 1e-5);
+    for wrong in [0.0, -1.0, f64::NAN] {
+        let options = ImportOptions { metres_per_unit: Some(wrong), ..ImportOptions::default() };
+        assert!(super::super::read(folder.path(), &options, &Silent).is_err());
+    }
+}
+
+#[test]
+fn damaged_colmap_models_are_errors() {
+    let folder = colmap(Vec3::Z, true);
+    for name in ["cameras.bin", "images.bin"] {
+        let path = folder.path().join("sparse/0").join(name);
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() - 3]).unwrap();
+        assert_says(&complaint(&folder), &[name, "cut off"]);
+        std::fs::write(&path, [&[0xff; 8], &bytes[8..]].concat()).unwrap();
+        assert_says(&complaint(&folder), &[name, "entries"]);
+        std::fs::write(&path, &bytes).unwrap();
+    }
+    let folder = colmap(Vec3::Z, false);
+    for (name, from, to, parts) in [
+        ("cameras.txt", "SIMPLE_PINHOLE", "FOV", ["line 2", "FOV", "image_undistorter"]),
+        ("cameras.txt", "PINHOLE 8 4 5", "PINHOLE 8 4 x", ["line 2", "3 numbers", "SIMPLE_PINHOLE"]),
+        ("cameras.txt", "7 SIMPLE", "8 SIMPLE", ["images.txt", "camera 7", "cameras.txt"]),
+        ("images.txt", " 7 photo 0", " seven photo 0", ["line 2", "CAMERA_ID", "seven"]),
+        ("images.txt", " 7 photo 0.jpg", " 7", ["line 2", "NAME", "cut off"]),
+    ] {
+        let path = folder.path().join("sparse/0").join(name);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from));
+        std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+        assert_says(&complaint(&folder), &parts);
+        std::fs::write(&path, text).unwrap();
+    }
+}
+
+/// The scene as the NeRF-synthetic scenes are written.
+pub(super) fn blender_scene() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_images(root, |i| format!("{}/r_{i}.exr", if i < 2 { "train" } else { "test" }));
+    for (split, range) in [("train", 0..2), ("test", 2..4)] {
+        let frame = |i: usize| {
+            let rows = poses()[i].transpose().to_cols_array_2d();
+            json!({"file_path": format!("./{split}/r_{i}"), "rotation": 0.1, "transform_matrix": rows})
+        };
+        let angle = 2.0 * (0.5 * WIDTH as f64 / 5.0).atan();
+        let file = json!({"camera_angle_x": angle, "frames": range.map(frame).collect::<Vec<_>>()});
+        std::fs::write(root.join(format!("transforms_{split}.json")), file.to_string()).unwrap();
+    }
+    write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
+    folder
+}
+
+#[test]
+fn blender() {
+    let folder = blender_scene();
+    let read = assert_reads(&folder, "blender", pinhole());
+    assert_eq!(read.shots.iter().filter(|shot| shot.view.split == Split::Novel).count(), 2);
+    let wrong = json!({"camera_angle_x": 4.0, "frames": []});
+    std::fs::write(folder.path().join("transforms_train.json"), wrong.to_string()).unwrap();
+    assert_says(&complaint(&folder), &["transforms_train.json", "camera_angle_x is 4"]);
+}
+
+/// The scene as a list in JSON, as one with quaternions, and as one with angles.
+pub(super) fn panorama_lists() -> [TempDir; 3] {
+    let rotation = |i: usize| DQuat::from_mat4(&poses()[i]);
+    let position = |i: usize| poses()[i].w_axis.truncate();
+    let row = |i: usize| {
+        let (q, p) = (rotation(i), position(i));
+        json!({"file": format!("p{i}.exr"), "x": p.x, "y": p.y, "z": p.z, "qw": q.w, "qx": q.x, "qy": q.y, "qz": q.z})
+    };
+    let csv_row = |i: usize| {
+        let (q, p) = (rotation(i), position(i));
+        format!("p{i}.exr;{};{};{};{};{};{};{}\n", p.x, p.y, p.z, q.w, q.x, q.y, q.z)
+    };
+    // Yaw is where the image's centre looks, pitch how far up, roll what is left.
+    let angles = |i: usize| {
+        let (pose, p) = (poses()[i], position(i));
+        let forward = -pose.z_axis.truncate();
+        let (yaw, pitch) = (forward.y.atan2(forward.x), forward.z.asin());
+        let level_right = DVec3::new(yaw.sin(), -yaw.cos(), 0.0);
+        let level_up = level_right.cross(forward);
+        let right = pose.x_axis.truncate();
+        let roll = (-right.dot(level_up)).atan2(right.dot(level_right));
+        let [yaw, pitch, roll] = [yaw, pitch, roll].map(f64::to_degrees);
+        format!("p{i}.exr , {}, {}, {}, {yaw}, {pitch}, {roll}\n", p.x, p.y, p.z)
+    };
+    let all = |line: &dyn Fn(usize) -> String| (0..4).map(line).collect::<String>();
+    [
+        ("panoramas.json", json!((0..4).map(row).collect::<Vec<_>>()).to_string()),
+        ("panoramas.csv", format!("# made by hand\nfile;x;y;z;qw;qx;qy;qz\n{}", all(&csv_row))),
+        ("panoramas.csv", format!("file,x,y,z,yaw,pitch,roll\n{}", all(&angles))),
+    ]
+    .map(|(name, text)| {
+        let folder = tempfile::tempdir().unwrap();
+        write_images(&folder.path().join("hdr"), |i| format!("p{i}.exr"));
+        write_mesh(&folder.path().join("flat.obj"), Vec3::Z, 1.0);
+        std::fs::write(folder.path().join(name), text).unwrap();
+        folder
+    })
+}
+
+#[test]
+fn lists_of_panoramas() {
+    for folder in panorama_lists() {
+        assert_reads(&folder, "panoramas", Projection::Equirectangular);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let bad = |text: &str| {
+        std::fs::write(folder.path().join("panoramas.csv"), text).unwrap();
+        complaint(&folder)
+    };
+    write_images(folder.path(), |i| format!("p{i}.exr"));
+    assert_says(&bad("file,x,y,z\np0.exr,1,2,3\n"), &["panoramas.csv", "panorama 1 (p0.exr)", "qw", "yaw"]);
+    assert_says(&bad("file,x,y\np0.exr,1,2\n"), &["panoramas.csv", "missing field", "file,x,y,z"]);
+    assert_says(&bad("file,x,y,z,yaw\np0.exr,1,2,3,inf\n"), &["panorama 1", "finite", "degrees"]);
+    assert_says(&bad("file,x,y,z,yaw\n"), &["no camera"]);
+    write_rgb(folder.path().join("p0.exr"), &Rgb::filled(3, 2, [1.0; 3])).unwrap();
+    assert_says(&bad("file,x,y,z,yaw\np0.exr,1,2,3,4\n"), &["3×2", "twice as wide as high"]);
+}
+
+/// The scene as Matterport's camera gives it.
+pub(super) fn matterport() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let place = |name: &str| root.join(name);
+    for name in ["matterport_camera_poses", "matterport_camera_intrinsics"] {
+        std::fs::create_dir_all(place(name)).unwrap();
+    }
+    for (i, pose) in poses().into_iter().enumerate() {
+        std::fs::write(place(&format!("matterport_camera_poses/ab_pose_0_{i}.txt")), row_major(opencv(pose))).unwrap();
+    }
+    let centre = [WIDTH / 2, HEIGHT / 2];
+    let intrinsics = format!("{WIDTH} {HEIGHT} 5 5 {} {} 0 0 0 0 0", centre[0], centre[1]);
+    std::fs::write(place("matterport_camera_intrinsics/ab_intrinsics_0.txt"), intrinsics).unwrap();
+    write_images(&place("matterport_hdr_images"), |i| format!("ab_j0_{i}.exr"));
+    write_mesh(&place("matterport_mesh/xyz/xyz.obj"), Vec3::Z, 1.0);
+    folder
+}
+
+/// The scene as Matterport3D's undistorted photos, and its .conf.
+pub(super) fn matterport_undistorted() -> (TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    // The principal point is off the middle: their rows count from the bottom.
+    let mut conf = "dataset matterport\nn_images 4\n".to_owned();
+    conf += "intrinsics_matrix 5 0 4  0 5 1  0 0 1\n";
+    for (i, pose) in poses().into_iter().enumerate() {
+        conf += &format!("scan d{i}.png c{i}.jpg {}\n", row_major(pose));
+    }
+    std::fs::create_dir_all(root.join("undistorted_camera_parameters")).unwrap();
+    std::fs::write(root.join("undistorted_camera_parameters/xyz.conf"), &conf).unwrap();
+    write_images(&root.join("hdr"), |i| format!("c{i}.exr"));
+    write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
+    (folder, conf)
+}
+
+#[test]
+fn matterport_as_captured_and_undistorted() {
+    assert_reads(&matterport(), "matterport3d", pinhole());
+    let (folder, conf) = matterport_undistorted();
+    assert_reads(&folder, "matterport3d", Projection::Pinhole { fx: 5.0, fy: 5.0, cx: 4.0, cy: HEIGHT as f32 - 1.0 });
+    let conf = conf.replace("intrinsics_matrix", "intrinsics");
+    std::fs::write(folder.path().join("undistorted_camera_parameters/xyz.conf"), conf).unwrap();
+    assert_says(&complaint(&folder), &["xyz.conf", "line 4", "intrinsics_matrix"]);
+}
+
+/// The scene in the layout of the TexIR authors, and its matrices.
+pub(super) fn texir_authors() -> (TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let (mut ids, mut matrices) = (String::new(), "4 \n".to_owned());
+    for (i, pose) in poses().into_iter().enumerate() {
+        ids += &format!("164610{i}\n");
+        let rows = row_major(opencv(source_from_texir(Vec3::NEG_Y) * pose));
+        matrices += &rows.split(' ').collect::<Vec<_>>().chunks(4).map(|row| row.join(" ") + " \n").collect::<String>();
+        let derived = root.join(format!("derived/164610{i}"));
+        // At half the size of the image.
+        write_png_labels(derived.join("panoImage_gray.png"), &Labels::new(4, 2, (0..8).collect()).unwrap()).unwrap();
+        let mut cutout = ::image::RgbaImage::from_pixel(WIDTH as u32, HEIGHT as u32, ::image::Rgba([0, 0, 0, 255]));
+        cutout.put_pixel(3, 3, ::image::Rgba([9, 9, 9, 0]));
+        cutout.save_with_format(derived.join("panoImage_orig.jpg"), ::image::ImageFormat::Png).unwrap();
+    }
+    std::fs::create_dir_all(root.join("info")).unwrap();
+    std::fs::write(root.join("info/aligned.txt"), ids).unwrap();
+    std::fs::write(root.join("info/final_extrinsics.txt"), &matrices).unwrap();
+    // Read by its content.
+    write_images(root, |i| format!("hdr/164610{i}/ccm.hdr"));
+    write_mesh(&root.join("hdr_texture/out1.obj"), Vec3::NEG_Y, 1.0);
+    write_rgb(root.join("hdr_texture/hdr_texture.hdr"), &Rgb::filled(2, 2, [7.0; 3])).unwrap();
+    (folder, matrices)
+}
+
+#[test]
+fn texir_authors_layout() {
+    let (folder, matrices) = texir_authors();
+    let read = assert_reads(&folder, "texir-authors", Projection::Equirectangular);
+
+    let out = tempfile::tempdir().unwrap();
+    write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap();
+    let semantic = read_labels(out.path().join("semantic/1646101.png")).unwrap();
+    assert_eq!((semantic.size(), *semantic.at(7, 3)), ((WIDTH, HEIGHT), 7));
+    let mask = read_mask(out.path().join("mask/1646101.png")).unwrap();
+    assert_eq!(mask.data.iter().filter(|used| !**used).count(), 1);
+    assert!(!mask.at(3, 3));
+    let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
+    assert_eq!(capture.tbl.unwrap().radiance.data[0], [7.0; 3]);
+
+    std::fs::write(folder.path().join("info/final_extrinsics.txt"), &matrices[..matrices.len() - 14]).unwrap();
+    assert_says(&complaint(&folder), &["final_extrinsics.txt", "63 numbers", "4 ids"]);
+}
+
+/// The scene as a glTF, whose nodes are cameras or the places of panoramas.
+pub(super) fn gltf(camera: bool) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let from_texir = source_from_texir(Vec3::Y);
+    let field = 2.0 * (0.5 * HEIGHT as f64 / 5.0).atan();
+    let mut nodes = vec![json!({"mesh": 0, "name": "flat", "matrix": from_texir.to_cols_array()})];
+    for (i, pose) in poses().into_iter().enumerate() {
+        let mut node = json!({"name": format!("View.00{i}"), "matrix": (from_texir * pose).to_cols_array()});
+        if camera {
+            node["camera"] = json!(0);
+        }
+        nodes.push(node);
+    }
+    let mesh = mesh();
+    let mut buffer: Vec<u8> = mesh.positions.iter().flat_map(|p| p.to_array().map(f32::to_le_bytes).concat()).collect();
+    let uvs = buffer.len();
+    buffer.extend(mesh.uvs.iter().flat_map(|uv| uv.to_array().map(f32::to_le_bytes).concat()));
+    let normals = buffer.len();
+    buffer.extend(mesh.normals.iter().flat_map(|n| n.to_array().map(f32::to_le_bytes).concat()));
+    let indices = buffer.len();
+    buffer.extend(mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()));
+    let views = [(0, uvs), (uvs, normals - uvs), (normals, indices - normals), (indices, buffer.len() - indices)];
+    let document = json!({
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1, 2, 3, 4]}],
+        "nodes": nodes,
+        "cameras": [{"type": "perspective", "perspective": {"yfov": field, "aspectRatio": 2.0, "znear": 0.1}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1, "NORMAL": 2}, "indices": 3}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", "min": [0, 0, 0], "max": [4, 3, 2.5]},
+            {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5126, "count": 8, "type": "VEC3"},
+            {"bufferView": 3, "componentType": 5125, "count": 12, "type": "SCALAR"},
+        ],
+        "bufferViews": views.map(|(at, length)| json!({"buffer": 0, "byteOffset": at, "byteLength": length})),
+        "buffers": [{"uri": "scene.bin", "byteLength": buffer.len()}],
+    });
+    std::fs::write(root.join("scene.bin"), buffer).unwrap();
+    std::fs::write(root.join("scene.gltf"), document.to_string()).unwrap();
+    write_images(&root.join("images"), |i| format!("View.00{i}.exr"));
+    folder
+}
+
+#[test]
+fn gltf_cameras_and_panoramas() {
+    for (projection, camera) in [(pinhole(), true), (Projection::Equirectangular, false)] {
+        let folder = gltf(camera);
+        assert_reads(&folder, "gltf", projection);
+        if camera {
+            std::fs::remove_file(folder.path().join("images/View.001.exr")).unwrap();
+            assert_says(&complaint(&folder), &["scene.gltf", "View.001", "without an image"]);
+            let path = folder.path().join("scene.gltf");
+            let text = std::fs::read_to_string(&path).unwrap();
+            std::fs::write(path, text.replace("\"accessors\"", "\"ccessors\"")).unwrap();
+            assert_says(&complaint(&folder), &["scene.gltf", "POSITION is accessor 0"]);
+        }
+    }
+}
+
+/// The scene as texir's own capture.
+pub(super) fn nerfstudio() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let view = |(i, camera): (usize, Camera)| View {
+        semantic: Some(root.join("ids.png")),
+        roughness: Some(root.join("rough.exr")),
+        ..View::new(format!("v{i}"), camera, Split::Train, root.join(format!("photos/v{i}.exr")))
+    };
+    let views: Vec<View> = cameras(pinhole()).into_iter().enumerate().map(view).collect();
+    crate::capture::nerfstudio::write_transforms(root.join("transforms.json"), &views).unwrap();
+    write_images(&root.join("photos"), |i| format!("v{i}.exr"));
+    write_png_labels(root.join("ids.png"), &Labels::filled(WIDTH, HEIGHT, 300)).unwrap();
+    write_gray(root.join("rough.exr"), &Gray::filled(WIDTH, HEIGHT, 0.25)).unwrap();
+    write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
+    folder
+}
+
+#[test]
+fn nerfstudio_is_read_with_all_that_belongs_to_it() {
+    let folder = nerfstudio();
+    let read = assert_reads(&folder, "nerfstudio", pinhole());
+    assert!(is_capture(folder.path()).unwrap());
+
+    let out = tempfile::tempdir().unwrap();
+    let options = ImportOptions { link: cfg!(unix), ..ImportOptions::default() };
+    write(&read, out.path(), &options, &Silent).unwrap();
+    let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
+    assert_eq!(capture.views[2].load_semantic().unwrap().unwrap().data[0], 300);
+    assert_eq!(capture.views[2].load_roughness().unwrap().unwrap().data[0], 0.25);
+    assert_eq!(out.path().join("hdr/v1.exr").is_symlink(), cfg!(unix));
+    let again = write(&read, out.path(), &options, &Silent).unwrap_err().to_string();
+    assert_says(&again, &["transforms.json already", "empty folder"]);
+}
+
+#[test]
+fn unknown_folders_and_formats_are_named_with_what_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_says(&complaint(&folder), &["no capture that texir knows", "colmap", "panoramas.csv", "info/aligned.txt"]);
+    let options = ImportOptions { format: Some("polaroid".to_owned()), ..ImportOptions::default() };
+    let message = super::super::read(folder.path(), &options, &Silent).unwrap_err().to_string();
+    assert_says(&message, &["polaroid", "nerfstudio", "gltf"]);
+    let folder = colmap(Vec3::Z, false);
+    std::fs::remove_file(folder.path().join("mesh.obj")).unwrap();
+    assert_says(&complaint(&folder), &["has no mesh", "--mesh"]);
+}
+
+#[test]
+fn encoded_images_need_a_curve() {
+    let folder = colmap(Vec3::Z, false);
+    let root = folder.path();
+    std::fs::remove_dir_all(root.join("images")).unwrap();
+    std::fs::create_dir(root.join("images")).unwrap();
+    for i in 0..4 {
+        let mut photo =
+            ::image::RgbaImage::from_pixel(WIDTH as u32, HEIGHT as u32, ::image::Rgba([188, 188, 255, 255]));
+        photo.put_pixel(0, 0, ::image::Rgba([0, 0, 0, 0]));
+        photo.save_with_format(root.join(format!("images/photo {i}.jpg")), ::image::ImageFormat::Png).unwrap();
+    }
+    let read = super::super::read(root, &ImportOptions::default(), &Silent).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let refused = write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap_err().to_string();
+    assert_says(&refused, &["photo", "texir hdr", "--curve"]);
+    let options = ImportOptions { curve: Some(TransferCurve::Srgb), ..ImportOptions::default() };
+    let written = write(&read, out.path(), &options, &Silent).unwrap();
+    assert_eq!((written.decoded, written.clipped_pixels), (4, 4 * (WIDTH * HEIGHT - 1)));
+    let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
+    let image = capture.views[0].load_image(&Silent).unwrap();
+    assert!((image.data[1][0] - 0.5029).abs() < 1e-3 && image.data[1][2] == 1.0, "{:?}", image.data[1]);
+    assert!(!capture.views[0].load_mask().unwrap().unwrap().at(0, 0));
+}

@@ -1,0 +1,271 @@
+//! A source as a capture folder.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::lens::Undistortion;
+use super::{Import, ImportOptions, Shot};
+use crate::atomic_file::write_atomic;
+use crate::capture::{View, nerfstudio};
+use crate::error::{Error, Result};
+use crate::image_io::{
+    TransferCurve, is_encoded, read_encoded, read_gray, read_labels, read_mask, read_rgb, read_size, write_gray,
+    write_png_labels, write_png_mask, write_rgb,
+};
+use crate::mesh_io::obj;
+use crate::progress::Progress;
+use crate::raster::{Mask, Raster};
+
+/// What an import did to the images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Written {
+    /// Views.
+    pub views: usize,
+    /// Views whose lens distortion was taken out.
+    pub undistorted: usize,
+    /// Views whose 8 or 16-bit values were decoded.
+    pub decoded: usize,
+    /// Pixels of those that were clipped: their light is unknown.
+    pub clipped_pixels: usize,
+}
+
+/// Writes images (copied or linked where they need no change), textures, `mesh.obj` and, last, `transforms.json`: a
+/// folder that was not finished is no capture.
+pub fn write(
+    import: &Import,
+    out: impl AsRef<Path>,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Written> {
+    let out = out.as_ref();
+    let transforms = out.join("transforms.json");
+    if transforms.exists() {
+        return Err(Error::file(out, "holds a transforms.json already; expected a new or empty folder"));
+    }
+    progress.start("import: views", import.shots.len() as u64, "views");
+    let job = Job { out, options };
+    let converted = |shot: &Shot| {
+        progress.check()?;
+        let converted = job.convert(shot)?;
+        progress.advance(1);
+        Ok(converted)
+    };
+    let converted = import.shots.par_iter().map(converted).collect::<Result<Vec<_>>>()?;
+    progress.finish();
+    for (name, file) in &import.textures {
+        // Readers go by the content, but people go by the name.
+        if name.ends_with(".exr") && !is_exr(file) {
+            write_rgb(out.join(name), &read_rgb(file)?)?;
+        } else {
+            job.bring(file, &out.join(name))?;
+        }
+    }
+    obj::write(out.join("mesh.obj"), &import.mesh)?;
+    let mut written = Written { views: converted.len(), ..Written::default() };
+    for Converted { undistorted, clipped, .. } in &converted {
+        written.undistorted += usize::from(*undistorted);
+        written.decoded += usize::from(clipped.is_some());
+        written.clipped_pixels += clipped.unwrap_or_default();
+    }
+    if written.clipped_pixels > 0 {
+        progress.warn(&format!(
+            "{}: {} pixels of {} encoded images are clipped: lamps and windows among them are darker than they were, and \
+             the room is lit too dimly; merge bracketed exposures with `texir hdr` instead",
+            out.display(),
+            written.clipped_pixels,
+            written.decoded
+        ));
+    }
+    let views: Vec<View> = converted.into_iter().map(|c| c.view).collect();
+    nerfstudio::write_transforms(transforms, &views)?;
+    Ok(written)
+}
+
+fn is_exr(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr"))
+}
+
+struct Converted {
+    view: View,
+    undistorted: bool,
+    /// Clipped pixels, of an encoded image.
+    clipped: Option<usize>,
+}
+
+struct Job<'a> {
+    out: &'a Path,
+    options: &'a ImportOptions,
+}
+
+impl Job<'_> {
+    fn convert(&self, shot: &Shot) -> Result<Converted> {
+        let view = &shot.view;
+        let size = read_size(&view.image)?;
+        let expected = (view.camera.width, view.camera.height);
+        if size != expected {
+            let what =
+                format!("is {size:?} pixels; expected {expected:?}, the size in the camera's intrinsics: resize it");
+            return Err(Error::file(&view.image, what));
+        }
+        let lens = match shot.distortion {
+            None => None,
+            Some(distortion) => Some(Undistortion::new(&view.camera, distortion).ok_or_else(|| {
+                let what = format!("cannot be undistorted with {}: no pixel is left", distortion.describe());
+                Error::file(&view.image, what)
+            })?),
+        };
+        let lens = lens.as_ref();
+        let file = |kind: &str, extension: &str| self.out.join(kind).join(format!("{}.{extension}", view.name));
+        let (image, own_opacity, clipped) = self.radiance(view, lens, &file)?;
+        let opaque = match &shot.opacity {
+            Some(path) => read_encoded(path)?.opaque,
+            None => own_opacity,
+        };
+        Ok(Converted {
+            view: View {
+                name: view.name.clone(),
+                camera: lens.map_or(view.camera, |lens| lens.pinhole),
+                image,
+                semantic: self.labels(view.semantic.as_deref(), lens, size, file("semantic", "png"))?,
+                mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png"))?,
+                room: self.labels(view.room.as_deref(), lens, size, file("room", "png"))?,
+                albedo: view
+                    .albedo
+                    .as_deref()
+                    .map(|from| self.albedo(from, lens, file("albedo", "exr")))
+                    .transpose()?,
+                roughness: view
+                    .roughness
+                    .as_deref()
+                    .map(|from| self.roughness(from, lens, file("roughness", "exr")))
+                    .transpose()?,
+                ..view.clone()
+            },
+            undistorted: lens.is_some(),
+            clipped,
+        })
+    }
+
+    /// The image's new place, where an encoded one is opaque, and how many of its pixels are clipped.
+    fn radiance(
+        &self,
+        view: &View,
+        lens: Option<&Undistortion>,
+        file: &impl Fn(&str, &str) -> PathBuf,
+    ) -> Result<(PathBuf, Option<Mask>, Option<usize>)> {
+        let (image, opaque, clipped) = if is_encoded(&view.image)? {
+            let encoded = read_encoded(&view.image)?;
+            let (image, clipped) = encoded.decode(self.curve(&view.image)?);
+            (image, encoded.opaque, Some(clipped))
+        } else if let Some(lens) = lens {
+            let to = file("hdr", "exr");
+            write_rgb(&to, &lens.smooth(&read_rgb(&view.image)?))?;
+            return Ok((to, None, None));
+        } else {
+            let extension = view.image.extension().and_then(|e| e.to_str()).unwrap_or("exr");
+            let to = file("hdr", extension);
+            self.bring(&view.image, &to)?;
+            return Ok((to, None, None));
+        };
+        let to = file("hdr", "exr");
+        write_rgb(&to, &lens.map_or_else(|| image.clone(), |lens| lens.smooth(&image)))?;
+        Ok((to, opaque, clipped))
+    }
+
+    fn curve(&self, path: &Path) -> Result<TransferCurve> {
+        self.options.curve.ok_or_else(|| {
+            Error::file(
+                path,
+                "holds 8 or 16-bit values, whose encoding is unknown and whose lamps are clipped; expected linear OpenEXR, \
+                 Radiance HDR or float TIFF: merge bracketed exposures with `texir hdr`, or as a last resort say how they \
+                 are encoded (--curve srgb, linear or gamma=2.2)",
+            )
+        })
+    }
+
+    /// Ids at the size of the image: files of another size (segmentation at half resolution) are spread.
+    fn labels(
+        &self,
+        from: Option<&Path>,
+        lens: Option<&Undistortion>,
+        size: (usize, usize),
+        to: PathBuf,
+    ) -> Result<Option<PathBuf>> {
+        let Some(from) = from else { return Ok(None) };
+        let labels = spread(&read_labels(from)?, size);
+        write_png_labels(&to, &lens.map_or_else(|| labels.clone(), |lens| lens.nearest(&labels)))?;
+        Ok(Some(to))
+    }
+
+    /// A pixel is used when both the mask and the image's own transparency let it through.
+    fn mask(
+        &self,
+        from: Option<&Path>,
+        opaque: Option<Mask>,
+        lens: Option<&Undistortion>,
+        size: (usize, usize),
+        to: PathBuf,
+    ) -> Result<Option<PathBuf>> {
+        let mask = match (from.map(read_mask).transpose()?, opaque) {
+            (None, None) => return Ok(None),
+            (Some(one), None) | (None, Some(one)) => spread(&one, size),
+            (Some(mask), Some(opaque)) => {
+                let mut mask = spread(&mask, size);
+                mask.data.iter_mut().zip(&opaque.data).for_each(|(used, opaque)| *used &= opaque);
+                mask
+            }
+        };
+        write_png_mask(&to, &lens.map_or_else(|| mask.clone(), |lens| lens.nearest(&mask)))?;
+        Ok(Some(to))
+    }
+
+    fn albedo(&self, from: &Path, lens: Option<&Undistortion>, to: PathBuf) -> Result<PathBuf> {
+        match lens {
+            Some(lens) => write_rgb(&to, &lens.smooth(&read_rgb(from)?))?,
+            None if is_encoded(from)? => write_rgb(&to, &read_encoded(from)?.decode(TransferCurve::Srgb).0)?,
+            None => self.bring(from, &to)?,
+        }
+        Ok(to)
+    }
+
+    fn roughness(&self, from: &Path, lens: Option<&Undistortion>, to: PathBuf) -> Result<PathBuf> {
+        match lens {
+            Some(lens) => {
+                let smooth = lens.smooth(&read_gray(from)?.map(|v| [*v]));
+                write_gray(&to, &smooth.map(|[v]| *v))?;
+            }
+            None if is_encoded(from)? => write_gray(&to, &read_encoded(from)?.values.map(|p| p[0]))?,
+            None => self.bring(from, &to)?,
+        }
+        Ok(to)
+    }
+
+    /// Copies or links a file.
+    fn bring(&self, from: &Path, to: &Path) -> Result<()> {
+        if self.options.link {
+            return link(from, to);
+        }
+        let mut source = std::fs::File::open(from).map_err(|e| Error::file(from, format!("cannot be read: {e}")))?;
+        write_atomic(to, |sink| std::io::copy(&mut source, sink).map(drop))
+    }
+}
+
+#[cfg(unix)]
+fn link(from: &Path, to: &Path) -> Result<()> {
+    let from = from.canonicalize().map_err(|e| Error::file(from, format!("cannot be found: {e}")))?;
+    let linked = to.parent().map_or(Ok(()), std::fs::create_dir_all);
+    let linked = linked.and_then(|()| std::os::unix::fs::symlink(&from, to));
+    linked.map_err(|e| Error::file(to, format!("cannot be linked to {}: {e}", from.display())))
+}
+
+#[cfg(not(unix))]
+fn link(_: &Path, to: &Path) -> Result<()> {
+    Err(Error::file(to, "cannot be a link on this system: leave out --link"))
+}
+
+/// The nearest values at another size.
+fn spread<T: Copy>(raster: &Raster<T>, (width, height): (usize, usize)) -> Raster<T> {
+    let value = |i: usize| *raster.at(i % width * raster.width / width, i / width * raster.height / height);
+    Raster { width, height, data: (0..width * height).map(value).collect() }
+}
