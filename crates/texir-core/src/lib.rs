@@ -10,11 +10,8 @@ pub mod camera;
 pub mod capture;
 pub mod cpu;
 pub mod demo;
-<<<<<<< ours
-pub mod diffuse;
-=======
 pub mod denoise;
->>>>>>> theirs
+pub mod diffuse;
 pub mod error;
 pub mod eval;
 pub mod fit;

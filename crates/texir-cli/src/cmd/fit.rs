@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::Capture;
 use texir_core::fit::{self, EpochLog, FitResult};
@@ -25,14 +25,38 @@ pub struct Fit {
     /// Folder for textures, scene.glb, metrics and report
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    /// How materials are found: the program's own way, or the paper's three stages [default: full]
+    #[arg(long, value_name = "MODE")]
+    mode: Option<Mode>,
     /// Leave out the evaluation and the report
     #[arg(long)]
     no_eval: bool,
 }
 
+/// [`fit::Mode`] as it is typed.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Mode {
+    /// Light samples drawn once, robust least squares, a scan over roughness
+    Full,
+    /// The three stages of TexIR (Li et al. 2023)
+    Paper,
+}
+
+impl From<Mode> for fit::Mode {
+    fn from(mode: Mode) -> Self {
+        match mode {
+            Mode::Full => Self::Full,
+            Mode::Paper => Self::Paper,
+        }
+    }
+}
+
 impl Fit {
     /// Fits, evaluates, reports.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        let mut config = session.config.clone();
+        config.fit.mode = self.mode.map_or(config.fit.mode, fit::Mode::from);
+        let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
         let capture = self.capture.load(session)?;
         let output = write(staging, &capture, session)?;

@@ -11,7 +11,7 @@ use texir_core::camera::{Camera, Projection};
 use texir_core::capture::import::{self, Import};
 use texir_core::capture::{Capture, Split, View};
 use texir_core::cpu::CpuBackend;
-use texir_core::fit::FitSettings;
+use texir_core::fit::{FitSettings, Mode};
 use texir_core::image_io::is_encoded;
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
@@ -309,16 +309,26 @@ fn known(capture: &Capture) -> Known {
 
 fn estimate(capture: &Capture, settings: &FitSettings, size: usize, covered_texels: f64) -> Estimate {
     let pixels: u64 = capture.views(Split::Train).map(|v| v.camera.pixels() as u64).sum();
-    // Stage I traces nothing, stage II only the few pixels that could show a highlight.
-    let stage_three = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
-    // Seven textures of four channels (parameters, gradients, two Adam moments, TBL, irradiance, emission) with their mips,
-    // the sub-pixel footprints of every training pixel (about 12 taps of 8 bytes, with their transpose), the hierarchy.
+    let per_pixel = match settings.mode {
+        // Stage I traces nothing, stage II only the few pixels that could show a highlight.
+        Mode::Paper => {
+            let epochs = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
+            u64::from(settings.specular_samples) * epochs
+        }
+        Mode::Full => u64::from(settings.full.sampling(0, 0).rays()),
+    };
+    // Seven textures of four channels (parameters, gradients, two Adam moments or solver vectors, TBL, irradiance,
+    // emission) with their mips; the sub-pixel footprints of every training pixel (about 12 taps of 8 bytes, with their
+    // transpose); the hierarchy. Full mode keeps a curve and its cost per pixel (256 bytes) for the footprints of one level.
     let texels = (size * size) as u64;
-    let sub_pixels = (settings.footprint_samples * settings.footprint_samples) as u64;
-    let memory = texels * 7 * 16 * 4 / 3 + pixels * sub_pixels * 12 * 16 + capture.mesh.triangles.len() as u64 * 300;
+    let footprints = match settings.mode {
+        Mode::Paper => (settings.footprint_samples * settings.footprint_samples) as u64 * 12 * 16,
+        Mode::Full => 12 * 16 + 400,
+    };
+    let memory = texels * 7 * 16 * 4 / 3 + pixels * footprints + capture.mesh.triangles.len() as u64 * 300;
     Estimate {
         bake_rays: (covered_texels * f64::from(settings.irradiance_samples)) as u64,
-        fit_rays: pixels * u64::from(settings.specular_samples) * stage_three,
+        fit_rays: pixels * per_pixel,
         memory,
     }
 }

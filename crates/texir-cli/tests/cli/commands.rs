@@ -238,7 +238,7 @@ fn a_fit_on_the_gpu_takes_its_settings_from_a_file() {
     let (config, out, input) = (capture.out("quick.toml"), capture.out("out"), capture.path());
     std::fs::write(
         &config,
-        "backend = \"gpu\"\n[fit]\natlas_size = 64\nirradiance_samples = 32\nspecular_samples = 4\n\
+        "backend = \"gpu\"\n[fit]\nmode = \"paper\"\natlas_size = 64\nirradiance_samples = 32\nspecular_samples = 4\n\
          [fit.optimiser]\nepochs = 1\n[fit.stage_two]\nenabled = false\n",
     )
     .unwrap();
@@ -251,6 +251,28 @@ fn a_fit_on_the_gpu_takes_its_settings_from_a_file() {
     assert_scene(&out.join("scene.glb"));
     let log = std::fs::read_to_string(out.join("log.jsonl")).unwrap();
     assert_eq!(log.lines().map(|line| json(line)["stage"].clone()).collect::<Vec<_>>(), ["I", "III"]);
+}
+
+#[test]
+fn full_mode_is_the_default_and_its_backends_agree() {
+    let capture = Capture::new();
+    let input = capture.path();
+    let maps = ["cpu", "gpu"].map(|backend| {
+        let out = capture.out(backend);
+        let quick =
+            ["--set", "fit.atlas_size=64", "--set", "fit.irradiance_samples=64", "--no-eval", "--backend", backend];
+        let paths = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str()];
+        succeed(&[&paths[..], &quick.map(AsRef::as_ref)].concat());
+        assert_textures(&out);
+        let settings: toml::Table = std::fs::read_to_string(out.join("settings.toml")).unwrap().parse().unwrap();
+        assert_eq!(settings["fit"]["mode"].as_str(), Some("full"));
+        ["albedo.exr", "roughness.exr"].map(|name| texir_core::image_io::read_rgb(out.join(name)).unwrap().data)
+    });
+    for (cpu, gpu) in maps[0].iter().zip(&maps[1]) {
+        let close = |(a, b): &(&[f32; 3], &[f32; 3])| (0..3).all(|c| (a[c] - b[c]).abs() < 0.05);
+        let agreeing = cpu.iter().zip(gpu).filter(close).count();
+        assert!(agreeing * 100 >= 95 * cpu.len(), "{agreeing} of {} texels agree", cpu.len());
+    }
 }
 
 #[test]

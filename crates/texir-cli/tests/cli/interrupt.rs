@@ -13,7 +13,8 @@ fn an_interrupted_fit_leaves_nothing_behind() {
     let (input, out) = (capture.path(), capture.out("out"));
     let arguments = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str(), "--backend".as_ref()];
     // Hours of work, had it not been stopped.
-    let long = ["cpu", "--set", "fit.atlas_size=64", "--set", "fit.optimiser.epochs=1000000"].map(AsRef::as_ref);
+    let long = ["cpu", "--mode", "paper", "--set", "fit.atlas_size=64", "--set", "fit.optimiser.epochs=1000000"]
+        .map(AsRef::as_ref);
     let mut child = command(&[&arguments[..], &long[..]].concat()).stderr(Stdio::piped()).spawn().unwrap();
     let mut errors = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
     assert!(errors.any(|line| line.contains("runs on")), "the fit began");

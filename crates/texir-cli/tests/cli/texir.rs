@@ -15,8 +15,10 @@ pub struct Said {
     pub err: String,
 }
 
-/// Settings that make a fit of the room a matter of a second.
-const QUICK: [&str; 8] = [
+/// Settings that make a fit of the room in paper mode a matter of a second.
+const QUICK: [&str; 10] = [
+    "--set",
+    "fit.mode=paper",
     "--set",
     "fit.atlas_size=64",
     "--set",

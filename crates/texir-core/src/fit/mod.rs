@@ -109,7 +109,7 @@ pub fn fit(
         light: settings.irradiance_samples / 2,
         seed: settings.seed,
     };
-    let irradiance = bake::irradiance(backend, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill);
+    let irradiance = bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");
 
     let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();

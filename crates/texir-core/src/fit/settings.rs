@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use crate::backend::RoughnessGradient;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
+use crate::rng::hash2;
+use crate::specular_table::TableSampling;
 
 /// Largest side of the atlas, texels: beyond it, no graphics card holds the texture.
 const MAX_ATLAS: usize = 16_384;
@@ -330,6 +332,53 @@ impl Default for StageThreeSettings {
     }
 }
 
+/// A setting's name, its value, whether it is allowed, and what is.
+type Check = (&'static str, f32, bool, &'static str);
+
+impl FullSettings {
+    /// How the light samples of view `view` are drawn in a run of seed `seed`.
+    pub fn sampling(&self, seed: u32, view: u32) -> TableSampling {
+        let Self { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, .. } = *self;
+        TableSampling { lobe, cosine, light, seed: hash2(seed, view) }
+    }
+
+    fn checks(&self) -> [Check; 25] {
+        let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
+        let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
+        let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
+        let counts = |name, value: u32| (name, value as f32, (1..=1024).contains(&value), "1 to 1024");
+        let share = |name, value: f32| (name, value, (0.0..=1.0).contains(&value), "in [0, 1]");
+        let roughness = |name, value: f32| (name, value, value >= 0.03 && value <= 1.0, "in [0.03, 1]");
+        [
+            counts("full.lobe_samples", self.lobe_samples),
+            ("full.cosine_samples", self.cosine_samples as f32, self.cosine_samples <= 1024, "at most 1024"),
+            ("full.light_samples", self.light_samples as f32, self.light_samples <= 1024, "at most 1024"),
+            positive("full.albedo.noise", a.noise),
+            not_negative("full.albedo.image_noise", a.image_noise),
+            not_negative("full.albedo.smoothness", a.smoothness),
+            positive("full.albedo.edge_scale", a.edge_scale),
+            positive("full.albedo.segment_prior", a.segment_prior),
+            counts("full.albedo.rounds", a.rounds),
+            counts("full.albedo.iterations", a.iterations),
+            roughness("full.roughness.start", r.start),
+            not_negative("full.roughness.image_noise", r.image_noise),
+            counts("full.roughness.iterations", r.iterations),
+            ("full.roughness.min_cosine", r.min_cosine, (0.0..1.0).contains(&r.min_cosine), "in [0, 1)"),
+            roughness("full.roughness.cap", r.cap),
+            not_negative("full.roughness.class_pull", r.class_pull),
+            not_negative("full.roughness.room_pull", r.room_pull),
+            not_negative("full.roughness.segment_pull", r.segment_pull),
+            not_negative("full.roughness.colour_pull", r.colour_pull),
+            not_negative("full.roughness.local.pull", r.local.pull),
+            positive("full.roughness.local.smallest", r.local.smallest),
+            share("full.palette.strength", p.strength),
+            positive("full.palette.bandwidth", p.bandwidth),
+            positive("full.palette.reach", p.reach),
+            share("full.palette.least_share", p.least_share),
+        ]
+    }
+}
+
 impl FitSettings {
     /// Checks every value; the error names the setting, its value and what is allowed.
     pub fn validate(&self) -> Result<()> {
@@ -337,9 +386,9 @@ impl FitSettings {
         let o = &self.optimiser;
         let not_negative = |weight: f32| weight >= 0.0 && weight.is_finite();
         let within = |value: f32, range: [f32; 2]| value >= range[0] && value <= range[1];
-        let checks: [(&str, f32, bool, &str); 21] = [
+        let checks: [Check; 21] = [
             ("atlas_size", self.atlas_size as f32, self.atlas_size <= MAX_ATLAS, "at most 16384"),
-            ("irradiance_samples", self.irradiance_samples as f32, self.irradiance_samples > 0, "at least 1"),
+            ("irradiance_samples", self.irradiance_samples as f32, self.irradiance_samples >= 4, "at least 4"),
             ("specular_samples", self.specular_samples as f32, self.specular_samples > 0, "at least 1"),
             ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),
             ("emitter_ratio", self.emitter_ratio, self.emitter_ratio > 0.0, "above 0"),
@@ -400,7 +449,7 @@ impl FitSettings {
                 "in [0, 1]",
             ),
         ];
-        match checks.iter().find(|(_, _, ok, _)| !ok) {
+        match checks.iter().chain(&self.full.checks()).find(|(_, _, ok, _)| !ok) {
             Some((name, value, _, allowed)) => {
                 Err(Error::invalid(format!("setting {name} is {value}; it must be {allowed}")))
             }

@@ -11,9 +11,8 @@ use crate::error::{Error, Result};
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
-use crate::rng::hash2;
 use crate::scene::Scene;
-use crate::specular_table::{Curve, STRATA, TableSampling};
+use crate::specular_table::{Curve, STRATA};
 use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
 
@@ -67,8 +66,8 @@ pub struct Observer<'a> {
 impl Observer<'_> {
     /// Observes the views. The backend holds the full TBL and its lights.
     pub fn observe(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Observations> {
-        let rays: u64 =
-            views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>() * u64::from(self.sampling(0).rays());
+        let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>()
+            * u64::from(self.settings.sampling(self.seed, 0).rays());
         progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
@@ -84,11 +83,6 @@ impl Observer<'_> {
         }
         all.columns = all.rows.transposed(self.atlas.texels.len());
         Ok(all)
-    }
-
-    fn sampling(&self, view: u32) -> TableSampling {
-        let FullSettings { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, .. } = *self.settings;
-        TableSampling { lobe, cosine, light, seed: hash2(self.seed, view) }
     }
 
     fn observe_one(
@@ -137,7 +131,7 @@ impl Observer<'_> {
                 })
             })
             .collect();
-        let sampling = self.sampling(all.views.len() as u32);
+        let sampling = self.settings.sampling(self.seed, all.views.len() as u32);
         all.curves.extend(backend.specular_tables(&strata, sampling, progress)?);
         progress.advance((view.camera.pixels() - pixels.len()) as u64 * u64::from(sampling.rays()));
         all.cosine.extend(strata.iter().map(|strata| {
