@@ -72,7 +72,12 @@ impl Curve {
         let x = (inside / RANGE[0]).ln() / node_step();
         let k = (x as usize).min(NODES - 2);
         let t = x - k as f32;
-        let p = [k.saturating_sub(1), k, k + 1, (k + 2).min(NODES - 1)].map(|k| self.at_node(k));
+        let (left, right) = (self.at_node(k), self.at_node(k + 1));
+        // Beyond the ends the curve goes on straight.
+        let beyond = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|c| 2.0 * a[c] - b[c]);
+        let before = if k > 0 { self.at_node(k - 1) } else { beyond(left, right) };
+        let after = if k + 2 < NODES { self.at_node(k + 2) } else { beyond(right, left) };
+        let p = [before, left, right, after];
         let slope = if r == inside { 1.0 / (node_step() * r) } else { 0.0 };
         let cubic = |c: usize| {
             let [p0, p1, p2, p3] = p.map(|p| p[c]);

@@ -18,7 +18,7 @@ pub struct Said {
 /// Settings that make a fit of the room in paper mode a matter of a second.
 const QUICK: [&str; 10] = [
     "--set",
-    "fit.mode=paper",
+    "fit.mode=\"paper\"",
     "--set",
     "fit.atlas_size=64",
     "--set",

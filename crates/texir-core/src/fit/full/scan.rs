@@ -100,24 +100,21 @@ fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[f32],
         .collect()
 }
 
-/// Roughness of the minimum of a cost curve over the nodes, refined in ln r by the cubic through the best node, its two
-/// neighbours and the better of the nodes beyond: costs rise unevenly, as highlights fade faster than they sharpen.
+/// Roughness of the minimum of a cost curve over the nodes, refined in ln r by a cubic through the best node and its
+/// neighbours: costs rise unevenly, as highlights fade faster than they sharpen.
 pub fn minimum(cost: &[f32; NODES]) -> f32 {
     let k = (0..NODES).min_by(|a, b| cost[*a].total_cmp(&cost[*b])).unwrap_or(0);
     if k == 0 || k == NODES - 1 {
         return node(k);
     }
-    let beyond = [k.checked_sub(2), (k + 2 < NODES).then_some(k + 2)];
-    let Some(fourth) = beyond.into_iter().flatten().min_by(|a, b| cost[*a].total_cmp(&cost[*b])) else {
-        return node(k);
-    };
+    let rise = |side: i32| cost.get((k as i32 + side) as usize).map(|c| c - cost[k]);
     let (left, right) = (cost[k - 1] - cost[k], cost[k + 1] - cost[k]);
-    let side = if fourth > k { 2.0 } else { -2.0 };
-    // cost(k + t) − cost(k) = a t + b t² + c t³.
-    let b = 0.5 * (left + right);
-    let c = ((cost[fourth] - cost[k] - 4.0 * b) / side - 0.5 * (right - left)) / 3.0;
-    let a = 0.5 * (right - left) - c;
-    let value = |t: f32| ((c * t + b) * t + a) * t;
+    // cost(k + t) − cost(k) = a t + b t² + c t³; c is what the nodes beyond ask for, on average.
+    let (slope, b) = (0.5 * (right - left), 0.5 * (left + right));
+    let asked: Vec<f32> =
+        [-2, 2].into_iter().filter_map(|side| Some(((rise(side)? - 4.0 * b) / side as f32 - slope) / 3.0)).collect();
+    let c = asked.iter().sum::<f32>() / asked.len().max(1) as f32;
+    let value = |t: f32| ((c * t + b) * t + slope - c) * t;
     const STEPS: i32 = 64;
     let best = (-STEPS..=STEPS).map(|i| i as f32 / STEPS as f32).min_by(|s, t| value(*s).total_cmp(&value(*t)));
     node(k) * (best.unwrap_or(0.0) * node_step()).exp()
