@@ -109,9 +109,12 @@ mod tests {
 
     #[test]
     fn edges_are_where_normals_turn_or_depth_jumps() {
-        let mut mesh = Mesh::default();
-        mesh.positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|p| glam::IVec3::from(p).as_vec3()).to_vec();
-        mesh.triangles = vec![[0, 1, 2], [0, 1, 3]];
+        let corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]];
+        let mesh = Mesh {
+            positions: corners.map(|p| glam::IVec3::from(p).as_vec3()).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 1, 3]],
+            ..Mesh::default()
+        };
         let hit = |triangle, t| Hit { triangle, u: 0.0, v: 0.0, t };
         let hits = [hit(0, 1.0), hit(0, 1.05), hit(0, 1.5), hit(1, 1.5), hit(Hit::NONE, 0.0), hit(Hit::NONE, 0.0)];
         let grey = Raster::filled(6, 1, [9; 3]);
