@@ -58,7 +58,7 @@ pub struct Common {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BackendChoice {
-    /// A GPU where there is one, otherwise the CPU.
+    /// A GPU where there is one; otherwise, and where a processor plays it, the CPU.
     #[default]
     Auto,
     /// A GPU (a software adapter such as lavapipe counts), or an error.

@@ -26,6 +26,10 @@ fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> 
     }
     let adapter = config.adapter.as_deref();
     match (config.backend, Gpu::headless(adapter)) {
+        (BackendChoice::Auto, Ok(gpu)) if gpu.is_cpu() && adapter.is_none() => {
+            console.detail("the only adapter is a processor playing a GPU: the CPU backend traces faster");
+            Ok(None)
+        }
         (_, Ok(gpu)) => Ok(Some(gpu)),
         (BackendChoice::Auto, Err(error)) if adapter.is_none() => {
             console.detail(&error.to_string());
