@@ -1,10 +1,13 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 
 use crate::atlas::Atlas;
-use crate::backend::{Backend, Gather};
-use crate::error::Result;
+use crate::backend::{Backend, Gather, Gathered};
+use crate::denoise::denoise;
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
+use crate::rng::hash;
 
 /// Rings of padding around the charts of a baked map.
 pub const PADDING: usize = 4;
@@ -39,13 +42,44 @@ impl Baked {
     }
 }
 
-/// Bakes the irradiance of every valid texel from the TBL that the backend was given with [`Backend::set_tbl`].
+/// Bakes the irradiance of every valid texel from the TBL that the backend was given with [`Backend::set_tbl`]; unbiased.
 pub fn irradiance(backend: &mut dyn Backend, atlas: &Atlas, gather: Gather, progress: &dyn Progress) -> Result<Baked> {
-    progress.start("irradiance", atlas.points.len() as u64 * u64::from(gather.cosine + gather.light), "rays");
+    progress.start("irradiance", rays(atlas, gather), "rays");
     let gathered = backend.irradiance(&atlas.points, gather, progress)?;
     progress.finish();
     Ok(Baked {
         irradiance: gathered.iter().map(|g| g.irradiance).collect(),
-        buried: gathered.iter().map(|g| g.back_faces >= BURIED).collect(),
+        buried: gathered.iter().map(buried).collect(),
     })
+}
+
+/// Bakes as [`irradiance`] does, with the same number of rays, and removes most of the noise: see [`denoise`].
+pub fn denoised(
+    backend: &mut dyn Backend,
+    mesh: &Mesh,
+    atlas: &Atlas,
+    gather: Gather,
+    progress: &dyn Progress,
+) -> Result<Baked> {
+    if gather.cosine < 2 {
+        return Err(Error::invalid("denoising compares two halves of the rays: at least 2 must be cosine-distributed"));
+    }
+    progress.start("irradiance", rays(atlas, gather), "rays");
+    let second = Gather { cosine: gather.cosine / 2, light: gather.light / 2, seed: hash(gather.seed) };
+    let first = Gather { cosine: gather.cosine - second.cosine, light: gather.light - second.light, ..gather };
+    let [a, b] =
+        [backend.irradiance(&atlas.points, first, progress)?, backend.irradiance(&atlas.points, second, progress)?];
+    progress.finish();
+    let buried: Vec<bool> = a.iter().map(buried).collect();
+    let halves = [a, b].map(|half| half.iter().map(|g| g.irradiance).collect());
+    let irradiance = denoise(&atlas.points, &halves, &buried, atlas.typical_texel(mesh));
+    Ok(Baked { irradiance, buried })
+}
+
+fn rays(atlas: &Atlas, gather: Gather) -> u64 {
+    atlas.points.len() as u64 * u64::from(gather.cosine + gather.light)
+}
+
+fn buried(gathered: &Gathered) -> bool {
+    gathered.back_faces >= BURIED
 }

@@ -39,6 +39,9 @@ pub struct Bake {
     /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them
     #[arg(long)]
     cosine_only: bool,
+    /// Leave the noise in: unbiased, for measuring and for many rays
+    #[arg(long)]
+    no_denoise: bool,
     /// Give texels inside other geometry (a floor under a cupboard) their nearest lit neighbour's value, so that they do
     /// not darken what is seen beside them
     #[arg(long)]
@@ -79,7 +82,11 @@ impl Bake {
         backend.set_tbl(&radiance, &lights)?;
         let light = if self.cosine_only { 0 } else { self.spp / 2 };
         let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
-        let baked = bake::irradiance(backend.as_mut(), &atlas, gather, session.console)?;
+        let baked = if self.no_denoise || gather.cosine < 2 {
+            bake::irradiance(backend.as_mut(), &atlas, gather, session.console)?
+        } else {
+            bake::denoised(backend.as_mut(), &scene.mesh, &atlas, gather, session.console)?
+        };
         let buried = if self.fill_buried { Buried::Fill } else { Buried::Keep };
         write_rgb(&self.output, &baked.map(&atlas, buried))?;
         let texels = atlas.texels.len();
