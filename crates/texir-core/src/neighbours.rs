@@ -13,45 +13,54 @@ const SAME_WAY: f32 = 0.9;
 const BESIDE: f32 = 0.15;
 
 /// Points by cells of a sparse grid.
-pub(crate) struct Neighbours<'a> {
-    points: &'a [SurfacePoint],
+pub(crate) struct Neighbours {
     /// Edge of a cell and search radius, metres.
     radius: f32,
-    /// Point indices, cell by cell.
-    order: Vec<u32>,
+    /// The points, cell by cell, so that a search reads memory in order.
+    entries: Vec<Entry>,
     cells: HashMap<IVec3, Range<usize>>,
 }
 
-impl<'a> Neighbours<'a> {
+struct Entry {
+    position: Vec3,
+    normal: Vec3,
+    index: u32,
+}
+
+impl Neighbours {
     /// Sorts the points into cells of `radius` metres.
-    pub fn new(points: &'a [SurfacePoint], radius: f32) -> Self {
-        let cell = |i: u32| cell_of(Vec3::from(points[i as usize].position), radius);
-        let mut order: Vec<u32> = (0..points.len() as u32).collect();
-        order.sort_by_cached_key(|&i| cell(i).to_array());
+    pub fn new(points: &[SurfacePoint], radius: f32) -> Self {
+        let entry = |(i, point): (usize, &SurfacePoint)| Entry {
+            position: point.position.into(),
+            normal: point.normal.into(),
+            index: i as u32,
+        };
+        let mut entries: Vec<Entry> = points.iter().enumerate().map(entry).collect();
+        let cell = |entry: &Entry| cell_of(entry.position, radius);
+        entries.sort_by_cached_key(|entry| cell(entry).to_array());
         let mut cells = HashMap::new();
         let mut start = 0;
-        for run in order.chunk_by(|&a, &b| cell(a) == cell(b)) {
-            cells.insert(cell(run[0]), start..start + run.len());
+        for run in entries.chunk_by(|a, b| cell(a) == cell(b)) {
+            cells.insert(cell(&run[0]), start..start + run.len());
             start += run.len();
         }
-        Self { points, radius, order, cells }
+        Self { radius, entries, cells }
     }
 
-    /// The points within the radius of point `i` on its surface, itself included: index and offset, metres.
-    pub fn of(&self, i: usize) -> impl Iterator<Item = (usize, Vec3)> + '_ {
-        let position = Vec3::from(self.points[i].position);
-        let normal = Vec3::from(self.points[i].normal);
+    /// The points within the radius of `point` on its surface, itself included: index and offset, metres.
+    pub fn of(&self, point: &SurfacePoint) -> impl Iterator<Item = (usize, Vec3)> + '_ {
+        let (position, normal) = (Vec3::from(point.position), Vec3::from(point.normal));
         let centre = cell_of(position, self.radius);
-        let around = move |k: i32| centre + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1);
         (0..27)
-            .filter_map(move |k| self.cells.get(&around(k)))
-            .flat_map(|range| &self.order[range.clone()])
-            .map(move |&j| (j as usize, Vec3::from(self.points[j as usize].position) - position))
-            .filter(move |&(j, offset)| {
+            .filter_map(move |k| self.cells.get(&(centre + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))))
+            .flat_map(|range| &self.entries[range.clone()])
+            .map(move |entry| (entry, entry.position - position))
+            .filter(move |(entry, offset)| {
                 offset.length_squared() < self.radius * self.radius
                     && offset.dot(normal).abs() < BESIDE * self.radius
-                    && normal.dot(Vec3::from(self.points[j].normal)) > SAME_WAY
+                    && normal.dot(entry.normal) > SAME_WAY
             })
+            .map(|(entry, offset)| (entry.index as usize, offset))
     }
 }
 

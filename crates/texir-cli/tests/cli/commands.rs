@@ -230,6 +230,15 @@ fn tbl_and_bake_of_a_capture_and_of_a_mesh_agree_on_both_backends() {
     let agreeing = maps[1].data.iter().zip(&maps[2].data).filter(|&texels| close(texels)).count();
     // Texels on an edge of the room lie in two walls at once: rounding decides which of them their rays meet.
     assert!(agreeing * 100 >= 98 * maps[1].data.len(), "{agreeing} of {} texels agree", maps[1].data.len());
+
+    let clean = capture.out("clean.exr");
+    let how = ["--spp", "32", "--size", "32", "--backend", "cpu", "--fill-buried", "-o"].map(AsRef::as_ref);
+    let from = ["bake".as_ref(), mesh.as_os_str(), "--tbl".as_ref(), texture.as_os_str()];
+    succeed(&[&from[..], &how[..], &[clean.as_os_str()]].concat());
+    let clean = read_rgb(&clean).unwrap();
+    let total = |map: &Rgb| map.data.iter().map(|e| e[1]).sum::<f32>();
+    assert_ne!(clean, maps[1], "denoising changes texels");
+    assert!((total(&clean) / total(&maps[1]) - 1.0).abs() < 0.03, "{} of {}", total(&clean), total(&maps[1]));
 }
 
 #[test]
