@@ -92,7 +92,7 @@ pub struct LocalSettings {
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { largest: 1.0, smallest: 0.2, pull: 0.01, pixels: 30.0 }
+        Self { largest: 0.6, smallest: 0.2, pull: 0.06, pixels: 30.0 }
     }
 }
 
@@ -348,7 +348,7 @@ impl FullSettings {
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
         let counts = |name, value: u32| (name, value as f32, (1..=1024).contains(&value), "1 to 1024");
         let share = |name, value: f32| (name, value, (0.0..=1.0).contains(&value), "in [0, 1]");
-        let roughness = |name, value: f32| (name, value, value >= 0.03 && value <= 1.0, "in [0.03, 1]");
+        let roughness = |name, value: f32| (name, value, (0.03..=1.0).contains(&value), "in [0.03, 1]");
         [
             counts("full.lobe_samples", self.lobe_samples),
             ("full.cosine_samples", self.cosine_samples as f32, self.cosine_samples <= 1024, "at most 1024"),

@@ -15,11 +15,12 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::{Ground, Materials};
+use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
 use crate::capture::View;
 use crate::error::Result;
-use crate::fit::settings::FullSettings;
+use crate::fit::settings::{AlbedoSettings, FullSettings};
 use crate::progress::Progress;
 use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
@@ -57,10 +58,8 @@ pub fn fit(
     let palettes = problem.palettes(&albedo, &settings.palette);
     let roughness = by_colour(
         &problem,
-        atlas,
-        atlas.typical_texel(&scene.mesh),
-        &palettes,
-        &albedo,
+        (atlas, atlas.typical_texel(&scene.mesh)),
+        (&palettes, &albedo),
         &by_segment,
         &evidence,
         settings,
@@ -87,10 +86,8 @@ pub fn fit(
 /// Roughness of every texel, by the colours of its segment.
 fn by_colour(
     problem: &AlbedoProblem<'_>,
-    atlas: &crate::atlas::Atlas,
-    texel_size: f32,
-    palettes: &Palettes,
-    albedo: &[Vec3A],
+    (atlas, texel_size): (&Atlas, f32),
+    (palettes, albedo): (&Palettes, &[Vec3A]),
     by_segment: &[f32],
     evidence: &scan::Evidence,
     settings: &FullSettings,
@@ -118,7 +115,6 @@ fn by_colour(
     let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();
     local::refine(&surface, evidence, coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
 }
-use crate::fit::settings::AlbedoSettings;
 
 fn looked_up(seen: &Observations, texels: &[f32]) -> Vec<f32> {
     (0..seen.len())

@@ -47,6 +47,11 @@ impl Observations {
     pub fn len(&self) -> usize {
         self.radiance.len()
     }
+
+    /// True without pixels.
+    pub fn is_empty(&self) -> bool {
+        self.radiance.is_empty()
+    }
 }
 
 /// What gathering observations takes.
@@ -75,7 +80,7 @@ impl Observer<'_> {
             self.observe_one(backend, view, &index, &mut all, progress)?;
         }
         progress.finish();
-        if all.len() == 0 {
+        if all.is_empty() {
             return Err(Error::invalid(
                 "no pixel of a training view shows a surface that is not a light source: check the cameras against the \
                  mesh with `texir inspect`",

@@ -64,8 +64,7 @@ pub(super) fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + S
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.
 pub(super) fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise: impl Fn(usize) -> u16) -> Vec<u16> {
-    let mut across = vec![Vec::new(); 0];
-    across.resize_with(known.len(), Vec::<u32>::new);
+    let mut across: Vec<Vec<u32>> = vec![Vec::new(); known.len()];
     for &[a, b] in &neighbours.seams {
         across[a as usize].push(b);
         across[b as usize].push(a);
