@@ -32,16 +32,7 @@ pub fn fit(
 ) -> Result<Materials> {
     let Ground { scene, atlas, .. } = *ground;
     let pyramid = atlas.pyramid();
-    let surroundings = Surroundings {
-        scene,
-        atlas,
-        pyramid: &pyramid,
-        irradiance: ground.irradiance,
-        emitters: ground.emitters,
-        plan: ground.plan,
-        footprint_samples: settings.footprint_samples,
-        seed: settings.seed,
-    };
+    let surroundings = Surroundings { ground, pyramid: &pyramid, footprint_samples: settings.footprint_samples };
     backend.set_tbl(ground.emission, &Lights::none(&scene.mesh))?;
     let views = surroundings.prepare(backend, training, progress)?;
     backend.set_tbl(ground.radiance, ground.lights)?;

@@ -4,15 +4,12 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 
-use crate::atlas::Atlas;
 use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::capture::{Split, View};
 use crate::error::Result;
+use crate::fit::Ground;
 use crate::progress::{Progress, Silent};
-use crate::raster::{Mask, Rgb};
 use crate::rng::hash2;
-use crate::rooms::FloorPlan;
-use crate::scene::Scene;
 use crate::surface::Hit;
 use crate::texture::{Footprints, Pyramid};
 
@@ -45,22 +42,12 @@ pub struct FitView {
 
 /// What all views share while they are prepared.
 pub struct Surroundings<'a> {
-    /// The mesh.
-    pub scene: &'a Scene,
-    /// Its texels.
-    pub atlas: &'a Atlas,
-    /// Their mips.
+    /// The scene and its light.
+    pub ground: &'a Ground<'a>,
+    /// Mips of the atlas.
     pub pyramid: &'a Pyramid,
-    /// E per texel.
-    pub irradiance: &'a Rgb,
-    /// Texels that are light sources.
-    pub emitters: &'a Mask,
-    /// Rooms, for views that bring none.
-    pub plan: &'a FloorPlan,
     /// Sub-pixel footprints per axis.
     pub footprint_samples: usize,
-    /// Seed of the highlight render.
-    pub seed: u32,
 }
 
 impl Surroundings<'_> {
@@ -96,14 +83,20 @@ impl Surroundings<'_> {
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
         let fine_hits = backend.primary(&fine)?;
-        let footprints =
-            Footprints::of_pixels(self.pyramid, &self.scene.mesh, &fine, self.footprint_samples, &fine_hits, &used);
-        let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &footprints)?;
+        let footprints = Footprints::of_pixels(
+            self.pyramid,
+            &self.ground.scene.mesh,
+            &fine,
+            self.footprint_samples,
+            &fine_hits,
+            &used,
+        );
+        let irradiance = backend.lookup(self.pyramid, self.ground.irradiance.data.as_flattened(), 3, &footprints)?;
         let points: Vec<ShadePoint> = used
             .iter()
             .zip(irradiance.as_chunks::<3>().0)
             .map(|(&pixel, &irradiance)| {
-                ShadePoint::new(&self.scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
+                ShadePoint::new(&self.ground.scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
             })
             .collect();
         let highlights = self.highlights(backend, &points, &view.name)?;
@@ -111,7 +104,7 @@ impl Surroundings<'_> {
         let room_of = |i: usize| match (&rooms, view.room_id) {
             (Some(map), _) => map.data[used[i] as usize],
             (None, Some(id)) => id,
-            (None, None) => self.plan.room_of(Vec3::from(points[i].position), Vec3::from(points[i].normal)),
+            (None, None) => self.ground.plan.room_of(Vec3::from(points[i].position), Vec3::from(points[i].normal)),
         };
         let mut is_highlight = vec![false; points.len()];
         highlights.iter().for_each(|&h| is_highlight[h as usize] = true);
@@ -130,15 +123,15 @@ impl Surroundings<'_> {
     }
 
     fn is_emitter(&self, hit: &Hit) -> bool {
-        let uv = hit.uv(&self.scene.mesh);
+        let uv = hit.uv(&self.ground.scene.mesh);
         let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
-        *self.emitters.at(texel(uv.x, self.emitters.width), texel(uv.y, self.emitters.height))
+        *self.ground.emitters.at(texel(uv.x, self.ground.emitters.width), texel(uv.y, self.ground.emitters.height))
     }
 
     /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.
     fn highlights(&self, backend: &mut dyn Backend, points: &[ShadePoint], name: &str) -> Result<Vec<u32>> {
         let mirror = vec![Material::dielectric([0.0; 3], HIGHLIGHT_ROUGHNESS); points.len()];
-        let seed = name.bytes().fold(self.seed, |s, b| hash2(s, u32::from(b)));
+        let seed = name.bytes().fold(self.ground.seed, |s, b| hash2(s, u32::from(b)));
         let sampling = Sampling { samples: HIGHLIGHT_SAMPLES, seed };
         let shaded = backend.shade(points, &mirror, sampling, RoughnessGradient::Exact, &Silent)?;
         Ok((0..points.len() as u32).filter(|&i| shaded[i as usize].radiance.iter().any(|&c| c > 0.0)).collect())
