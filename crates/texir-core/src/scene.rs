@@ -10,6 +10,10 @@ use obvhs::triangle::Triangle;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 
+/// Most triangles for which the hierarchy is built with all care: a second per 300 thousand, and rays are 1.3 to 1.6 times
+/// as fast (docs/performance.md).
+const CAREFUL_BUILD: usize = 2_000_000;
+
 /// A mesh and its obvhs CWBVH (8-wide, compressed).
 pub struct Scene {
     /// The mesh, in world space.
@@ -30,7 +34,12 @@ impl Scene {
                 Triangle { v0: a.into(), v1: b.into(), v2: c.into() }
             })
             .collect();
-        let bvh = build_cwbvh_from_tris(&triangles, BvhBuildParams::medium_build(), &mut Duration::default());
+        let quality = if triangles.len() <= CAREFUL_BUILD {
+            BvhBuildParams::very_slow_build()
+        } else {
+            BvhBuildParams::medium_build()
+        };
+        let bvh = build_cwbvh_from_tris(&triangles, quality, &mut Duration::default());
         Ok(Self { mesh, bvh })
     }
 }
