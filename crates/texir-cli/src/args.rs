@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, ValueEnum};
 use serde::{Deserialize, Serialize};
-use texir_core::backend::Sampling;
 use texir_core::fit::FitSettings;
 use toml::{Table, Value};
 
@@ -108,11 +107,6 @@ impl Config {
                 .help("leave out --adapter, or use --backend gpu"));
         }
         Ok(config)
-    }
-
-    /// `samples` from the run's seed.
-    pub fn sampling(&self, samples: u32) -> Sampling {
-        Sampling { samples, seed: self.fit.seed }
     }
 }
 

@@ -96,6 +96,11 @@ impl ShadePoint {
             pad2: 0.0,
         }
     }
+
+    /// n·v.
+    pub fn cosine(&self) -> f32 {
+        glam::Vec3::from(self.normal).dot(glam::Vec3::from(self.view))
+    }
 }
 
 /// The BRDF's parameters at one point.

@@ -115,7 +115,7 @@ pub struct ViewScores {
 /// What `metrics.json` holds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// Specular samples per pixel.
+    /// Rays per pixel.
     pub samples: u32,
     /// The result.
     pub result: Table,
@@ -160,17 +160,22 @@ pub fn evaluate(
         roughness: truth.roughness.clone(),
         ..textures.clone()
     });
-    let passes = 1 + u64::from(truth.is_some());
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
-    progress.start("evaluating", rays * passes, "rays");
+    progress.start("evaluating", rays, "rays");
     let mut result = Subject::new(renderer, capture, textures, progress)?;
     let mut ceiling = truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
     for view in &capture.views {
         let observed = Observed::load(view, progress)?;
-        let shown = result.evaluate(renderer, view, &observed, progress)?;
-        if let Some(ceiling) = &mut ceiling {
-            ceiling.evaluate(renderer, view, &observed, progress)?;
-        }
+        let rendered = match &mut ceiling {
+            Some(ceiling) => {
+                let each = [textures, ceiling.textures];
+                let [rendered, best] = renderer.render_each(&view.camera, each, progress)?;
+                ceiling.evaluate(renderer, view, &observed, best)?;
+                rendered
+            }
+            None => renderer.render(&view.camera, textures, progress)?,
+        };
+        let shown = result.evaluate(renderer, view, &observed, rendered)?;
         show(&Evaluated {
             view,
             image: &observed.image,
@@ -185,7 +190,7 @@ pub fn evaluate(
     }
     progress.finish();
     Ok(Evaluation {
-        samples: renderer.samples(),
+        samples: renderer.rays_per_pixel(),
         result: result.table(capture),
         ceiling: ceiling.as_ref().map(|c| c.table(capture)),
         views: capture
@@ -248,13 +253,13 @@ impl<'a> Subject<'a> {
         Ok(Self { textures, global_scale: sums.scale(), views: Vec::with_capacity(capture.views.len()) })
     }
 
-    /// Renders a view and keeps its figures.
+    /// Keeps a rendered view's figures.
     fn evaluate(
         &mut self,
         renderer: &mut Renderer<'_>,
         view: &View,
         observed: &Observed,
-        progress: &dyn Progress,
+        rendered: Rgb,
     ) -> Result<Shown> {
         let surfaces = renderer.surfaces(&view.camera, self.textures)?;
         let mask = observed.mask.clone().unwrap_or_else(|| surfaces.reflective());
@@ -268,7 +273,6 @@ impl<'a> Subject<'a> {
             Some(truth) => compare(&surfaces.roughness, truth, &mask)?,
             None => None,
         };
-        let rendered = renderer.render(&view.camera, self.textures, progress)?;
         let image = compare(&encoded(&rendered), &encoded(&observed.image), &mask)?;
         self.views.push(Scores { albedo, roughness, image });
         Ok(Shown { rendered, surfaces, mask, albedo_scale })

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
+use crate::atomic_file::write_atomic;
 use crate::capture::Tbl;
+use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb, write_gray, write_rgb};
 use crate::mesh::Mesh;
@@ -22,6 +24,8 @@ pub const ROUGHNESS: &str = "roughness.exr";
 pub const IRRADIANCE: &str = "irradiance.exr";
 /// Emitted radiance, OpenEXR.
 pub const EMISSION: &str = "emission.exr";
+/// How the textures scatter light ([`Scattering`]), JSON.
+pub const MATERIALS: &str = "materials.json";
 /// Texture-based lighting, OpenEXR.
 pub const HDR_TEXTURE: &str = "hdr_texture.exr";
 /// Where the texture-based lighting was seen (255), inpainted (128), or is outside the charts (0), PNG; the name that
@@ -45,11 +49,12 @@ pub const RUN: &str = "run.json";
 pub const REPORT: &str = "report.html";
 
 /// Every file of the folder.
-const FILES: [&str; 14] = [
+const FILES: [&str; 15] = [
     ALBEDO,
     ROUGHNESS,
     IRRADIANCE,
     EMISSION,
+    MATERIALS,
     HDR_TEXTURE,
     HDR_TEXTURE_MASK,
     ROOMS,
@@ -75,6 +80,21 @@ pub struct Run {
     pub timings: Vec<(String, f64)>,
 }
 
+/// The BRDF that the textures belong to, as far as it is not always the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scattering {
+    /// The diffuse model.
+    pub diffuse: DiffuseModel,
+}
+
+impl Scattering {
+    fn read(path: &Path) -> Result<Self> {
+        let text = fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+        serde_json::from_str(&text)
+            .map_err(|e| Error::file(path, format!("is not what `texir fit` writes ({e}); run the fit again")))
+    }
+}
+
 /// What rendering a fit's result takes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitOutput {
@@ -89,11 +109,13 @@ pub struct FitOutput {
 impl FitOutput {
     /// Writes mesh and textures.
     pub fn save(&self, folder: &Path) -> Result<()> {
-        let Textures { albedo, roughness, irradiance, emission } = &self.textures;
+        let Textures { albedo, roughness, irradiance, emission, diffuse } = &self.textures;
         write_rgb(folder.join(ALBEDO), albedo)?;
         write_gray(folder.join(ROUGHNESS), roughness)?;
         write_rgb(folder.join(IRRADIANCE), irradiance)?;
         write_rgb(folder.join(EMISSION), emission)?;
+        let scattering = Scattering { diffuse: *diffuse };
+        write_atomic(folder.join(MATERIALS), |sink| serde_json::to_writer_pretty(sink, &scattering))?;
         self.tbl.write(folder.join(HDR_TEXTURE))?;
         mesh_io::obj::write(folder.join(MESH), &self.mesh)
     }
@@ -106,7 +128,9 @@ impl FitOutput {
                 format!("is not the output of a fit: it has no {ALBEDO}; expected the folder given to `texir fit -o`"),
             ));
         }
+        let Scattering { diffuse } = Scattering::read(&folder.join(MATERIALS))?;
         let textures = Textures {
+            diffuse,
             albedo: read_rgb(folder.join(ALBEDO))?,
             roughness: read_gray(folder.join(ROUGHNESS))?,
             irradiance: read_rgb(folder.join(IRRADIANCE))?,

@@ -1,27 +1,46 @@
 //! Views of a scene with given textures: what `render`, `eval` and `report` look at.
 //!
-//! primary hits → trilinear footprints → material at every pixel ([`Renderer::surfaces`]) → the same for sub-pixels, shade,
-//! add emission, average ([`Renderer::render`]).
+//! primary hits → trilinear footprints → material at every pixel ([`Renderer::surfaces`]) → the same for sub-pixels, with
+//! specular radiance from tables over roughness, diffuse radiance and emission, averaged ([`Renderer::render`]).
+
+use std::f32::consts::FRAC_1_PI;
+
+use rayon::prelude::*;
 
 use crate::atlas::Atlas;
-use crate::backend::{Backend, Material, RoughnessGradient, Sampling, ShadePoint};
+use crate::backend::{Backend, ShadePoint};
 use crate::camera::Camera;
+use crate::diffuse::DiffuseModel;
 use crate::error::Result;
+use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::scene::Scene;
+use crate::specular_table::{STRATA, TableSampling};
 use crate::surface::Hit;
 use crate::texture::{Footprints, Pyramid, Rows};
 
 /// Pixels worked on at a time: bounds footprints and the backend's buffers (about 100 MB) whatever the size of the view.
 const CHUNK: usize = 1 << 18;
 
-/// Sub-pixels per pixel and axis in rendered views, which share the pixel's samples. Captured images are box-filtered over
-/// the pixel, and at the edges of lamps and windows a small share of it decides.
+/// Sub-pixels per pixel and axis in rendered views. Captured images are box-filtered over the pixel, and at the edges of
+/// lamps and windows a small share of it decides.
 const SUB_PIXELS: usize = 4;
+/// All sub-pixels, (column, row).
+const ALL: [(usize, usize); SUB_PIXELS * SUB_PIXELS] = {
+    let mut all = [(0, 0); SUB_PIXELS * SUB_PIXELS];
+    let mut i = 0;
+    while i < all.len() {
+        all[i] = (i % SUB_PIXELS, i / SUB_PIXELS);
+        i += 1;
+    }
+    all
+};
+/// The sub-pixels whose highlights are traced: one in each row and column.
+const STRATUM: [(usize, usize); SUB_PIXELS] = [(1, 0), (3, 1), (0, 2), (2, 3)];
 
-/// Textures in the scene's atlas. Their resolutions may differ.
+/// Textures in the scene's atlas, and how they scatter light. Their resolutions may differ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Textures {
     /// Linear albedo.
@@ -32,6 +51,8 @@ pub struct Textures {
     pub irradiance: Rgb,
     /// Emitted radiance; 0 where nothing glows.
     pub emission: Rgb,
+    /// The diffuse model that albedo belongs to.
+    pub diffuse: DiffuseModel,
 }
 
 /// What a camera sees of the textures, before shading. Zero where the ray met nothing.
@@ -60,28 +81,32 @@ impl Surfaces {
     }
 }
 
-/// Renders views of one scene. The backend's TBL is what highlights reflect: set it first.
+/// Renders views of one scene.
 pub struct Renderer<'a> {
     backend: &'a mut dyn Backend,
     scene: &'a Scene,
-    sampling: Sampling,
+    sampling: TableSampling,
     pyramids: Vec<Pyramid>,
 }
 
 impl<'a> Renderer<'a> {
-    /// A renderer with `sampling.samples` specular samples per pixel.
-    pub fn new(backend: &'a mut dyn Backend, scene: &'a Scene, sampling: Sampling) -> Self {
-        Self { backend, scene, sampling, pyramids: Vec::new() }
+    /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given, and which
+    /// spends about `rays` rays on those of a pixel, 96 at least.
+    pub fn new(backend: &'a mut dyn Backend, scene: &'a Scene, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
+        let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
+        backend.set_tbl(radiance, &Lights::find(&scene.mesh, &atlas, radiance))?;
+        let sampling = TableSampling::of_rays(rays / STRATUM.len() as u32, seed);
+        Ok(Self { backend, scene, sampling, pyramids: Vec::new() })
     }
 
-    /// Specular samples per pixel.
-    pub fn samples(&self) -> u32 {
-        self.sampling.samples
+    /// Rays per pixel.
+    pub fn rays_per_pixel(&self) -> u32 {
+        self.sampling.rays() * STRATA as u32
     }
 
-    /// Rays of a view, as progress counts them: samples × sub-pixels.
+    /// Rays of a view, as progress counts them.
     pub fn rays(&self, camera: &Camera) -> u64 {
-        (camera.pixels() * SUB_PIXELS * SUB_PIXELS) as u64 * u64::from(self.sub_pixel_samples())
+        camera.pixels() as u64 * u64::from(self.rays_per_pixel())
     }
 
     /// The materials and light at every pixel centre.
@@ -104,35 +129,51 @@ impl<'a> Renderer<'a> {
 
     /// The view's radiance. Advances `progress` by [`Renderer::rays`]; the caller starts and finishes the task.
     pub fn render(&mut self, camera: &Camera, textures: &Textures, progress: &dyn Progress) -> Result<Rgb> {
-        let fine = camera.supersampled(SUB_PIXELS);
-        let hits = self.backend.primary(&fine)?;
-        let sampling = Sampling { samples: self.sub_pixel_samples(), ..self.sampling };
-        let pixels: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-        let mut radiance = Rgb::filled(camera.width, camera.height, [0.0; 3]);
-        for pixels in pixels.chunks(CHUNK) {
-            let values = self.look_up_all(&Seen { camera: &fine, hits: &hits, pixels }, textures)?;
-            let point = |(&pixel, &irradiance): (&u32, &[f32; 3])| {
-                ShadePoint::new(&self.scene.mesh, &fine, pixel, &hits[pixel as usize], irradiance)
-            };
-            let points: Vec<ShadePoint> = pixels.iter().zip(&values.irradiance).map(point).collect();
-            let materials: Vec<Material> =
-                values.albedo.iter().zip(&values.roughness).map(|(&a, &r)| Material::dielectric(a, r)).collect();
-            let shaded = self.backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, progress)?;
-            for ((&pixel, shaded), emitted) in pixels.iter().zip(&shaded).zip(&values.emission) {
-                let (x, y) = (pixel as usize % fine.width / SUB_PIXELS, pixel as usize / fine.width / SUB_PIXELS);
-                let sum = &mut radiance.data[y * camera.width + x];
-                *sum = std::array::from_fn(|c| {
-                    sum[c] + (shaded.radiance[c] + emitted[c]) / (SUB_PIXELS * SUB_PIXELS) as f32
-                });
-            }
-        }
-        progress.advance((fine.pixels() - pixels.len()) as u64 * u64::from(sampling.samples));
+        let [radiance] = self.render_each(camera, [textures], progress)?;
         Ok(radiance)
     }
 
-    /// A sub-pixel's share of the samples, at least one.
-    fn sub_pixel_samples(&self) -> u32 {
-        self.sampling.samples.div_ceil((SUB_PIXELS * SUB_PIXELS) as u32)
+    /// The view's radiance under several sets of textures, for the rays of one: light does not depend on them.
+    pub fn render_each<const N: usize>(
+        &mut self,
+        camera: &Camera,
+        textures: [&Textures; N],
+        progress: &dyn Progress,
+    ) -> Result<[Rgb; N]> {
+        let fine = camera.supersampled(SUB_PIXELS);
+        let hits = self.backend.primary(&fine)?;
+        let mut radiance = [(); N].map(|()| Rgb::filled(camera.width, camera.height, [0.0; 3]));
+        let pixels: Vec<u32> = (0..camera.pixels() as u32).collect();
+        for pixels in pixels.chunks(CHUNK / (SUB_PIXELS * SUB_PIXELS)) {
+            let strata: Vec<u32> = sub_pixels(&fine, pixels, &STRATUM).filter(|&i| hits[i as usize].is_hit()).collect();
+            let points: Vec<[ShadePoint; STRATA]> = strata
+                .par_iter()
+                .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], [0.0; 3]); STRATA])
+                .collect();
+            let curves = self.backend.specular_tables(&points, self.sampling, progress)?;
+            progress.advance((pixels.len() * STRATUM.len() - strata.len()) as u64 * u64::from(self.sampling.rays()));
+            let seen: Vec<u32> = sub_pixels(&fine, pixels, &ALL).filter(|&i| hits[i as usize].is_hit()).collect();
+            for (radiance, textures) in radiance.iter_mut().zip(textures) {
+                let mut add = |i: u32, share: usize, value: [f32; 3]| {
+                    let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
+                    let sum = &mut radiance.data[y * camera.width + x];
+                    *sum = std::array::from_fn(|c| sum[c] + value[c] / share as f32);
+                };
+                let view = |pixels| Seen { camera: &fine, hits: &hits, pixels };
+                let values = self.look_up_all(&view(&strata), textures)?;
+                for ((&i, curve), &roughness) in strata.iter().zip(&curves).zip(&values.roughness) {
+                    add(i, STRATUM.len(), curve.at(roughness).0);
+                }
+                let values = self.look_up_all(&view(&seen), textures)?;
+                for (k, &i) in seen.iter().enumerate() {
+                    let point = ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], values.irradiance[k]);
+                    let factor = textures.diffuse.factor(point.cosine(), values.roughness[k]) * FRAC_1_PI;
+                    let diffuse = |c: usize| values.albedo[k][c] * values.irradiance[k][c] * factor;
+                    add(i, ALL.len(), std::array::from_fn(|c| diffuse(c) + values.emission[k][c]));
+                }
+            }
+        }
+        Ok(radiance)
     }
 
     /// All textures at some pixels. Emission is looked up on the atlas itself: on the coarse levels of its pyramid, lamps
@@ -183,6 +224,15 @@ impl<'a> Renderer<'a> {
         self.pyramids.push(Atlas::new(self.backend, self.scene, width, height)?.pyramid());
         Ok(self.pyramids.len() - 1)
     }
+}
+
+/// Indices in the finer image of some sub-pixels of some pixels, pixel by pixel.
+fn sub_pixels<'a>(fine: &Camera, pixels: &'a [u32], which: &'a [(usize, usize)]) -> impl Iterator<Item = u32> + 'a {
+    let width = fine.width;
+    pixels.iter().flat_map(move |&pixel| {
+        let (x, y) = (pixel as usize % (width / SUB_PIXELS), pixel as usize / (width / SUB_PIXELS));
+        which.iter().map(move |(dx, dy)| ((y * SUB_PIXELS + dy) * width + x * SUB_PIXELS + dx) as u32)
+    })
 }
 
 /// Trilinear footprints by pyramid, so that textures of one size share theirs.

@@ -27,6 +27,11 @@ pub fn node_step() -> f32 {
     (RANGE[1] / RANGE[0]).ln() / (NODES - 1) as f32
 }
 
+/// The node nearest to roughness `r`, in ln r.
+pub fn nearest_node(r: f32) -> usize {
+    ((r / RANGE[0]).ln() / node_step()).round().clamp(0.0, (NODES - 1) as f32) as usize
+}
+
 /// How many directions are drawn at each of a pixel's [`STRATA`] points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TableSampling {
@@ -41,6 +46,15 @@ pub struct TableSampling {
 }
 
 impl TableSampling {
+    /// About `rays` rays per pixel, at least 24: five eighths to the lobes, a sixteenth cosine-distributed, the rest to the
+    /// lights.
+    pub fn of_rays(rays: u32, seed: u32) -> Self {
+        let stratum = (rays / STRATA as u32).max(6);
+        let lobe = (stratum / 8).max(1);
+        let cosine = stratum / 16;
+        Self { lobe, cosine, light: stratum - lobe * LOBES.len() as u32 - cosine, seed }
+    }
+
     /// Rays per pixel.
     pub fn rays(&self) -> u32 {
         STRATA as u32 * (LOBES.len() as u32 * self.lobe + self.cosine + self.light)

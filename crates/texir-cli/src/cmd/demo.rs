@@ -27,8 +27,8 @@ const TRAIN: usize = 9;
 /// Panoramas held out.
 const NOVEL: usize = 3;
 
-/// Specular samples per pixel of the evaluation: a quarter of the protocol's, which is enough to look at.
-const SAMPLES: u32 = 64;
+/// Rays per pixel of the evaluation: half the protocol's, which is enough to look at.
+const RAYS: u32 = 128;
 
 /// Arguments of `texir demo`.
 #[derive(Debug, Args)]
@@ -54,7 +54,7 @@ impl Demo {
         self.make(&folder, session)?;
         let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
         let output = fit::write(staging, &capture, session)?;
-        let evaluation = report::publish(&out, &output, &capture, SAMPLES, session)?;
+        let evaluation = report::publish(&out, &output, &capture, RAYS, session)?;
         session.print(&evaluation, || {
             let line = |what: &str, path: PathBuf| format!("{what:<12}{}", path.display());
             [

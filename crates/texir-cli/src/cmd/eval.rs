@@ -6,7 +6,6 @@ use clap::Args;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::{self, Capture, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
-use texir_core::lights::Lights;
 use texir_core::outputs::{FitOutput, METRICS, RUN, Run};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -16,8 +15,8 @@ use crate::device;
 use crate::failure::{Context, Failure};
 use crate::figures;
 
-/// Specular samples per pixel of the protocol.
-pub const SAMPLES: u32 = 256;
+/// Rays per pixel of the protocol.
+pub const RAYS: u32 = 256;
 
 /// Arguments of `texir eval`.
 #[derive(Debug, Args)]
@@ -27,8 +26,8 @@ pub struct Eval {
     /// Capture with the truth [default: the one that was fitted]
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
-    /// Specular samples per pixel
-    #[arg(long, default_value_t = SAMPLES, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Rays per pixel, for its highlights; at least 96
+    #[arg(long, default_value_t = RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
 }
 
@@ -47,14 +46,14 @@ impl Eval {
 pub fn of_output(
     output: &FitOutput,
     capture: &Capture,
-    samples: u32,
+    rays: u32,
     session: &Session<'_>,
     show: &mut dyn FnMut(&Evaluated<'_>),
 ) -> Result<Evaluation, Failure> {
     let scene = Scene::new(output.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
-    backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
-    let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(samples));
+    let radiance = &output.tbl.radiance;
+    let mut renderer = Renderer::new(backend.as_mut(), &scene, radiance, rays, session.config.fit.seed)?;
     Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
 }
 

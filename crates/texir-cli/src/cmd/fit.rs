@@ -63,7 +63,7 @@ impl Fit {
         if self.no_eval {
             return Ok(());
         }
-        let evaluation = report::publish(&self.output, &output, &capture, eval::SAMPLES, session)?;
+        let evaluation = report::publish(&self.output, &output, &capture, eval::RAYS, session)?;
         session
             .print(&evaluation, || format!("{}\n\n{}", figures::text(&evaluation), self.output.join(REPORT).display()))
     }
@@ -75,7 +75,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let scene = Scene::new(capture.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
     let mut log: Vec<EpochLog> = Vec::new();
-    let FitResult { albedo, roughness, irradiance, emission, tbl, plan, timings } =
+    let FitResult { textures, tbl, plan, timings } =
         fit::fit(backend.as_mut(), &scene, capture, &session.config.fit, session.console, &mut |epoch| {
             log.push(*epoch)
         })?;
@@ -86,7 +86,6 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         timings,
     };
     drop(backend);
-    let textures = Textures { albedo, roughness, irradiance, emission };
     let output = FitOutput { mesh: scene.mesh, tbl, textures };
     let folder = staging.folder();
     output.save(folder)?;

@@ -6,7 +6,6 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::capture::load_cameras;
 use texir_core::image_io::{encode_srgb, write_png_rgb, write_rgb};
-use texir_core::lights::Lights;
 use texir_core::outputs::FitOutput;
 use texir_core::progress::Progress;
 use texir_core::render::Renderer;
@@ -27,8 +26,8 @@ pub struct Render {
     /// Folder for one EXR (linear radiance) and one PNG (sRGB preview) per camera
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Specular samples per pixel
-    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Rays per pixel, for its highlights; at least 96
+    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
     /// Brightness of the previews, in stops
     #[arg(long, default_value_t = 0.0, value_name = "EV", allow_negative_numbers = true)]
@@ -50,8 +49,8 @@ impl Render {
         let output = FitOutput::load(&self.out, session.console)?;
         let scene = Scene::new(output.mesh)?;
         let mut backend = device::open(&scene, session.config, session.console)?;
-        backend.set_tbl(&output.tbl.radiance, &Lights::none(&scene.mesh))?;
-        let mut renderer = Renderer::new(backend.as_mut(), &scene, session.config.sampling(self.spp));
+        let radiance = &output.tbl.radiance;
+        let mut renderer = Renderer::new(backend.as_mut(), &scene, radiance, self.spp, session.config.fit.seed)?;
         let gain = self.exposure.exp2();
         let mut written = Vec::with_capacity(views.len());
         session.console.start("rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");

@@ -22,8 +22,8 @@ pub struct Report {
     /// Capture with the images and the truth [default: the one that was fitted]
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
-    /// Specular samples per pixel
-    #[arg(long, default_value_t = eval::SAMPLES, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Rays per pixel, for its highlights; at least 96
+    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
 }
 

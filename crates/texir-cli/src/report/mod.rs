@@ -143,6 +143,7 @@ pub fn write(report: &Report, path: &Path) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use texir_core::diffuse::DiffuseModel;
     use texir_core::eval::{AlbedoScore, Table, ViewScores};
     use texir_core::fit::{EpochLog, Stage};
     use texir_core::raster::{Gray, Mask, Rgb};
@@ -203,6 +204,7 @@ mod tests {
             roughness: Gray::filled(256, 128, 0.5),
             irradiance: bands(1.0),
             emission: bands(2.0),
+            diffuse: DiffuseModel::Lambert,
         };
         let log: Vec<EpochLog> = [Stage::I, Stage::II, Stage::III]
             .into_iter()

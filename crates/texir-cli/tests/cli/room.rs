@@ -8,12 +8,13 @@ use std::sync::OnceLock;
 use glam::{Mat4, Vec2, Vec3};
 use tempfile::TempDir;
 use texir_core::atlas::Atlas;
-use texir_core::backend::{Backend, Gather, Sampling};
+use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{self, Buried};
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::nerfstudio::write_transforms;
 use texir_core::capture::{Split, View};
 use texir_core::cpu::CpuBackend;
+use texir_core::diffuse::DiffuseModel;
 use texir_core::image_io::{write_gray, write_png_labels, write_png_mask, write_rgb};
 use texir_core::lights::Lights;
 use texir_core::mesh::Mesh;
@@ -222,7 +223,7 @@ fn cameras() -> [Camera; VIEWS.len()] {
     })
 }
 
-/// True textures with the light of all bounces; the backend is left with the room's radiance.
+/// True textures with the light of all bounces.
 fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures {
     let atlas = Atlas::new(backend, scene, ATLAS, ATLAS).unwrap();
     let side = ATLAS / CHARTS;
@@ -234,22 +235,27 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
     let lights = Lights::find(&scene.mesh, &atlas, &emission);
     let mut irradiance = Rgb::filled(ATLAS, ATLAS, [0.0; 3]);
     for bounce in 0..BOUNCES {
-        let outgoing = |i: usize| {
-            std::array::from_fn(|c| emission.data[i][c] + albedo.data[i][c] * FRAC_1_PI * irradiance.data[i][c])
-        };
-        let radiance = Rgb::new(ATLAS, ATLAS, (0..ATLAS * ATLAS).map(outgoing).collect()).unwrap();
+        let radiance = outgoing(&albedo, &irradiance, &emission);
         backend.set_tbl(&radiance, &lights).unwrap();
         let gather = Gather { cosine: 32, light: 32, seed: bounce as u32 };
         irradiance = bake::irradiance(backend, &atlas, gather, &Silent).unwrap().map(&atlas, Buried::Fill);
     }
-    Textures { albedo, roughness, irradiance, emission }
+    Textures { albedo, roughness, irradiance, emission, diffuse: DiffuseModel::Lambert }
+}
+
+/// Emission + a/π · E.
+fn outgoing(albedo: &Rgb, irradiance: &Rgb, emission: &Rgb) -> Rgb {
+    let of_texel =
+        |i: usize| std::array::from_fn(|c| emission.data[i][c] + albedo.data[i][c] * FRAC_1_PI * irradiance.data[i][c]);
+    Rgb::new(ATLAS, ATLAS, (0..ATLAS * ATLAS).map(of_texel).collect()).unwrap()
 }
 
 fn shoot(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint], textures: &Textures, camera: Camera) -> Picture {
     let hits = backend.primary(&camera).unwrap();
     let seen: Vec<Paint> = hits.iter().map(|hit| paints[hit.triangle as usize / 2]).collect();
     let seen = Raster::new(WIDTH, HEIGHT, seen).unwrap();
-    let mut renderer = Renderer::new(backend, scene, Sampling { samples: 64, seed: 1 });
+    let radiance = outgoing(&textures.albedo, &textures.irradiance, &textures.emission);
+    let mut renderer = Renderer::new(backend, scene, &radiance, 256, 1).unwrap();
     Picture {
         camera,
         image: renderer.render(&camera, textures, &Silent).unwrap(),

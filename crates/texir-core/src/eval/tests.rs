@@ -5,12 +5,11 @@ use std::path::Path;
 use glam::{Mat4, Vec2, Vec3};
 
 use super::*;
-use crate::backend::{Backend, Sampling};
 use crate::camera::{Camera, Projection};
 use crate::capture::Truth;
 use crate::cpu::CpuBackend;
+use crate::diffuse::DiffuseModel;
 use crate::image_io::{write_gray, write_png_mask, write_rgb};
-use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::scene::Scene;
@@ -42,6 +41,7 @@ fn textures() -> Textures {
         roughness: Gray::filled(width, height, 0.4),
         irradiance: rgb(&|i| [1.0 + 0.02 * (i % 23) as f32; 3]),
         emission: rgb(&|_| [0.0; 3]),
+        diffuse: DiffuseModel::Lambert,
     }
 }
 
@@ -95,8 +95,7 @@ fn evaluated(change: impl Fn(&mut Textures)) -> Evaluation {
     let scene = Scene::new(room()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     let radiance = textures().irradiance;
-    backend.set_tbl(&radiance, &Lights::none(&scene.mesh)).unwrap();
-    let mut renderer = Renderer::new(&mut backend, &scene, Sampling { samples: 8, seed: 3 });
+    let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 96, 3).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let capture = capture(folder.path(), &scene, &mut renderer, &textures());
     let mut result = textures();
@@ -149,8 +148,7 @@ fn the_scale_of_albedo_is_free_and_its_shape_is_not() {
 fn light_sources_and_masked_pixels_do_not_count() {
     let scene = Scene::new(room()).unwrap();
     let mut backend = CpuBackend::new(&scene);
-    backend.set_tbl(&textures().irradiance, &Lights::none(&scene.mesh)).unwrap();
-    let mut renderer = Renderer::new(&mut backend, &scene, Sampling { samples: 8, seed: 3 });
+    let mut renderer = Renderer::new(&mut backend, &scene, &textures().irradiance, 96, 3).unwrap();
     let mut glowing = textures();
     glowing.emission.data[..48 * 8].fill([9.0; 3]);
     let surfaces = renderer.surfaces(&camera(0.5), &glowing).unwrap();
