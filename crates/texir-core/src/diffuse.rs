@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "lowercase")]
 pub enum DiffuseModel {
     /// The same from everywhere, as in the paper.
+    #[default]
     Lambert,
     /// Retro-reflection of rough surfaces (Burley, "Physically Based Shading at Disney", 2012, section 5.3).
-    #[default]
     Burley,
 }
 

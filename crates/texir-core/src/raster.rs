@@ -1,5 +1,7 @@
 //! Two-dimensional arrays: images, atlases, masks and label maps.
 
+use glam::Vec2;
+
 use crate::error::{Error, Result};
 
 /// A row-major `height × width` array, row 0 on top.
@@ -46,6 +48,12 @@ impl<T> Raster<T> {
     /// The value at column `x`, row `y`.
     pub fn at(&self, x: usize, y: usize) -> &T {
         &self.data[y * self.width + x]
+    }
+
+    /// Index of the value that holds the texture coordinates `uv`, which are clamped to [0, 1]; v points down.
+    pub fn nearest(&self, uv: Vec2) -> usize {
+        let place = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
+        place(uv.y, self.height) * self.width + place(uv.x, self.width)
     }
 
     /// `(width, height)`.

@@ -2,8 +2,8 @@
 //!
 //! Outgoing radiance is emission + a/π·E + the GGX lobe of [`crate::brdf`] (metallic 0). E comes from
 //! [`super::irradiance`]: direct light and all diffuse bounces, solved once in the atlas. The lobe is integrated per pixel
-//! by tracing: one emitter sample and one lobe sample per sub-pixel sample and per bounce, joined by multiple importance
-//! sampling.
+//! by tracing: one lobe sample per sub-pixel sample and per bounce, and emitter samples, several at the first bounce,
+//! joined by multiple importance sampling.
 //!
 //! Included: every path of diffuse bounces; up to [`RenderOptions::specular_bounces`] specular reflections in a row before
 //! the camera; between diffuse surfaces up to one (caustics of lamps and of lit surfaces). Left out: longer chains of
@@ -21,6 +21,9 @@ use super::trace::{Vertex, World, bilinear, lobe, sample_lobe};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
+
+/// Emitter samples at the first bounce, where a small lamp in a lobe of middling width would sparkle.
+const FIRST_LIGHTS: usize = 6;
 
 /// How much work to put into the images.
 #[derive(Clone, Copy, Debug)]
@@ -174,15 +177,18 @@ impl Light<'_> {
         }
         let world = &self.world;
         let (choice, roughness) = (world.choice(vertex), world.roughness(vertex.uv));
+        let lights = if bounces == self.options.specular_bounces { FIRST_LIGHTS } else { 1 };
         let mut sum = Vec3::ZERO;
-        if let Some((direction, radiance, p_light)) = world.light(vertex.position, vertex.normal, &choice, sample) {
-            let (value, p_lobe) = lobe(vertex.normal, view, direction, roughness);
-            sum += radiance * value / (p_light + p_lobe);
+        for _ in 0..lights {
+            if let Some((direction, radiance, p_light)) = world.light(vertex.position, vertex.normal, &choice, sample) {
+                let (value, p_lobe) = lobe(vertex.normal, view, direction, roughness);
+                sum += radiance * value / (lights as f32 * p_light + p_lobe);
+            }
         }
         if let Some(drawn) = sample_lobe(vertex.normal, view, roughness, sample.pair())
             && let Some(next) = world.closest(vertex.position, drawn.direction)
         {
-            let share = drawn.pdf / (drawn.pdf + world.light_pdf(&next, &choice));
+            let share = drawn.pdf / (drawn.pdf + lights as f32 * world.light_pdf(&next, &choice));
             let further = self.specular(&next, -drawn.direction, bounces - 1, sample);
             sum += (world.emission(&next) * share + self.diffuse(&next) + further) * drawn.weight;
         }

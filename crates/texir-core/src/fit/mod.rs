@@ -3,6 +3,7 @@
 //! texture-based lighting → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
 
 pub mod adam;
+pub mod emitters;
 pub mod full;
 pub mod paper;
 pub mod settings;
@@ -15,10 +16,12 @@ use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake;
 use crate::capture::{Capture, Split, Tbl, View};
+use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
+use crate::render::Textures;
 use crate::rooms::{self, FloorPlan, RoomOptions};
 use crate::scene::Scene;
 use crate::tbl::{self, TblOptions};
@@ -55,19 +58,15 @@ pub struct Materials {
     pub roughness: Gray,
     /// Irradiance E with which the materials explain the images.
     pub irradiance: Rgb,
+    /// The diffuse model that albedo belongs to.
+    pub diffuse: DiffuseModel,
 }
 
 /// What a fit yields, all in the same atlas.
 #[derive(Clone, Debug)]
 pub struct FitResult {
-    /// Linear albedo.
-    pub albedo: Rgb,
-    /// Perceptual roughness.
-    pub roughness: Gray,
-    /// Irradiance E: cosine included, not divided by π.
-    pub irradiance: Rgb,
-    /// Emitted radiance: the TBL where it is a light source, 0 elsewhere.
-    pub emission: Rgb,
+    /// Materials, irradiance, and emission: the TBL where it is a light source, 0 elsewhere.
+    pub textures: Textures,
     /// The texture-based lighting that was used.
     pub tbl: Tbl,
     /// The rooms that were found.
@@ -116,7 +115,8 @@ pub fn fit(
     let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
-    let emitters = emitters(&tbl.radiance, &irradiance, &atlas, settings.emitter_ratio);
+    let emitters =
+        emitters::find(backend, &atlas, (&tbl.radiance, &irradiance), &training, settings.emitter_ratio, progress)?;
     let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
     if emission.data.iter().all(|e| *e == [0.0; 3]) {
         return Err(Error::invalid(
@@ -139,25 +139,11 @@ pub fn fit(
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
         Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
     };
-    let Materials { albedo, roughness, irradiance } = materials;
+    let Materials { albedo, roughness, irradiance, diffuse } = materials;
+    let textures = Textures { albedo, roughness, irradiance, emission, diffuse };
     timings.mark("materials");
 
-    Ok(FitResult { albedo, roughness, irradiance, emission, tbl, plan, timings: timings.entries })
-}
-
-/// Light sources: texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
-/// that stand out from the scene, L > ratio · mean L; in luminance (Rec. 709).
-pub fn emitters(radiance: &Rgb, irradiance: &Rgb, atlas: &Atlas, ratio: f32) -> Mask {
-    let luminance = |c: &[f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
-    let mean =
-        atlas.texels.iter().map(|&t| luminance(&radiance.data[t as usize])).sum::<f32>() / atlas.texels.len() as f32;
-    let bright =
-        |l: &[f32; 3], e: &[f32; 3]| luminance(l) > ratio * (luminance(e) * std::f32::consts::FRAC_1_PI).max(mean);
-    let mut mask = Mask::filled(radiance.width, radiance.height, false);
-    for &t in &atlas.texels {
-        mask.data[t as usize] = bright(&radiance.data[t as usize], &irradiance.data[t as usize]);
-    }
-    mask
+    Ok(FitResult { textures, tbl, plan, timings: timings.entries })
 }
 
 fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {

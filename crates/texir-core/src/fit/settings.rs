@@ -66,14 +66,36 @@ pub struct FullSettings {
     pub cosine_samples: u32,
     /// and to the light sources.
     pub light_samples: u32,
-    /// How diffuse radiance depends on the direction to the camera.
-    pub diffuse: DiffuseModel,
+    /// How diffuse radiance depends on the direction to the camera: `auto`, `lambert` or `burley`.
+    pub diffuse: DiffuseChoice,
     /// Albedo by least squares.
     pub albedo: AlbedoSettings,
     /// Roughness by a scan.
     pub roughness: RoughnessSettings,
     /// Few colours per segment.
     pub palette: PaletteSettings,
+}
+
+/// Which diffuse model is fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DiffuseChoice {
+    /// The one that explains the images best.
+    #[default]
+    Auto,
+    /// This one.
+    #[serde(untagged)]
+    Is(DiffuseModel),
+}
+
+impl DiffuseChoice {
+    /// The models that come into question.
+    pub fn candidates(self) -> Vec<DiffuseModel> {
+        match self {
+            Self::Auto => vec![DiffuseModel::Lambert, DiffuseModel::Burley],
+            Self::Is(model) => vec![model],
+        }
+    }
 }
 
 /// Roughness that varies within a surface: blocks of the atlas, halving.
@@ -92,7 +114,7 @@ pub struct LocalSettings {
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { largest: 0.6, smallest: 0.2, pull: 0.06, pixels: 30.0 }
+        Self { largest: 0.6, smallest: 0.2, pull: 10.0, pixels: 30.0 }
     }
 }
 
@@ -152,6 +174,8 @@ pub struct RoughnessSettings {
     pub room_pull: f32,
     /// Pull of a class in a room on its segments.
     pub segment_pull: f32,
+    /// Pixels that a segment must have to be believed half.
+    pub segment_pixels: f32,
     /// Pull of a segment on each of its colours,
     pub colour_pull: f32,
     /// which must have this many pixels to be believed half.
@@ -256,7 +280,7 @@ impl Default for FullSettings {
             lobe_samples: 4,
             cosine_samples: 2,
             light_samples: 8,
-            diffuse: DiffuseModel::default(),
+            diffuse: DiffuseChoice::default(),
             albedo: AlbedoSettings::default(),
             roughness: RoughnessSettings::default(),
             palette: PaletteSettings::default(),
@@ -292,10 +316,11 @@ impl Default for RoughnessSettings {
             iterations: 8,
             min_cosine: 0.35,
             cap: 0.88,
-            class_pull: 0.003,
-            room_pull: 0.001,
-            segment_pull: 0.001,
-            colour_pull: 0.03,
+            class_pull: 0.1,
+            room_pull: 0.15,
+            segment_pull: 0.3,
+            segment_pixels: 100.0,
+            colour_pull: 1.0,
             colour_pixels: 100.0,
             local: LocalSettings::default(),
         }

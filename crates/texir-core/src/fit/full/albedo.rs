@@ -152,11 +152,10 @@ impl<'a> AlbedoProblem<'a> {
         self.seen.radiance.par_iter().zip(&self.per_irradiance).map(noise).collect()
     }
 
-    /// Improves `albedo` for the given roughness by `rounds` runs of `iterations` steps of conjugate gradients.
-    pub fn solve(&self, albedo: &mut [Vec3A], roughness: &Roughness<'_>, sigma: &[f32], rounds: u32, iterations: u32) {
-        let target = self.target(roughness);
+    /// Improves `albedo` for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
+    pub fn solve(&self, albedo: &mut [Vec3A], target: &[Vec3A], sigma: &[f32], rounds: u32, iterations: u32) {
         for _ in 0..rounds {
-            let residual = self.residual(albedo, &target);
+            let residual = self.residual(albedo, target);
             let base = self.settings.noise;
             let weight: Vec<f32> = (&residual, sigma)
                 .into_par_iter()
@@ -164,7 +163,7 @@ impl<'a> AlbedoProblem<'a> {
                 .collect();
             let means = self.segment_means(|t| (!self.seen.columns.row(t).is_empty()).then(|| albedo[t]));
             let system = System { problem: self, weight, edges: self.edge_weights(albedo) };
-            let mut right = system.transposed(&target);
+            let mut right = system.transposed(target);
             let prior = self.settings.segment_prior;
             right.par_iter_mut().zip(self.segment.0).for_each(|(r, s)| *r += prior * means[*s as usize]);
             conjugate_gradients(&system, albedo, &right, iterations);

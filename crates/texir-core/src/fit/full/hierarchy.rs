@@ -10,6 +10,9 @@ use super::neighbours::NONE;
 use super::scan::{Evidence, minimum};
 use crate::specular_table::{NODES, node};
 
+/// Cost below which no group counts as explained better: images and models are not that exact.
+const FLOOR: f32 = 2e-3;
+
 /// One level of the hierarchy.
 pub struct Level<'a> {
     /// Group of each pixel, or [`NONE`].
@@ -38,9 +41,11 @@ pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
             if *count == 0 {
                 return *parent;
             }
-            let scale = 1.0 / (*count as f32 + level.half_believed);
-            let cost: [f32; NODES] =
-                std::array::from_fn(|k| sum[k] as f32 * scale + level.pull * (node(k) / parent).ln().powi(2));
+            let believed = *count as f32 / (*count as f32 + level.half_believed);
+            let cost: [f32; NODES] = std::array::from_fn(|k| {
+                let mean = sum[k] as f32 / *count as f32;
+                believed * (mean + FLOOR).ln() + level.pull * (node(k) / parent).ln().powi(2)
+            });
             minimum(&cost)
         })
         .collect()

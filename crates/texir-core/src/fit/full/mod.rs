@@ -19,7 +19,8 @@ use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
 use crate::capture::View;
-use crate::error::Result;
+use crate::diffuse::DiffuseModel;
+use crate::error::{Error, Result};
 use crate::fit::settings::{AlbedoSettings, FullSettings};
 use crate::progress::Progress;
 use albedo::{AlbedoProblem, Roughness};
@@ -37,24 +38,35 @@ pub fn fit(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
+    let Ground { scene, atlas, emitters, seed, .. } = *ground;
+    let seen = Observer { scene, atlas, emitters, settings, seed }.observe(backend, training, progress)?;
+    recover(ground, &seen, settings, progress)
+}
+
+/// The materials that explain what is seen.
+pub fn recover(
+    ground: &Ground<'_>,
+    seen: &Observations,
+    settings: &FullSettings,
+    progress: &dyn Progress,
+) -> Result<Materials> {
     let Ground { scene, atlas, .. } = *ground;
-    let observer = Observer { scene, atlas, emitters: ground.emitters, settings, seed: ground.seed };
-    let seen = observer.observe(backend, training, progress)?;
     let neighbours = Neighbours::new(&scene.mesh, atlas);
-    let segments = segments::segment(atlas, &neighbours, &seen, ground.plan);
+    let segments = segments::segment(atlas, &neighbours, seen, ground.plan);
     let irradiance: Vec<Vec3A> =
         atlas.texels.iter().map(|&t| Vec3A::from(ground.irradiance.data[t as usize])).collect();
     let segment = (&segments.segment[..], segments.count);
-    let problem = AlbedoProblem::new(&seen, &irradiance, &neighbours, segment, settings.diffuse, &settings.albedo);
-
-    let mut albedo = problem.start();
-    let evidence = scan::scan(&problem, &settings.roughness, &mut albedo, progress)?;
-    let by_segment = roughness(&segments, &evidence, settings);
+    let mut problem =
+        AlbedoProblem::new(seen, &irradiance, &neighbours, segment, DiffuseModel::default(), &settings.albedo);
+    let Scanned { diffuse, mut albedo, evidence, by_segment } =
+        scan_models(&mut problem, &segments, settings, progress)?;
+    problem.diffuse = diffuse;
     let sigma = problem.noise(settings.albedo.image_noise);
     let AlbedoSettings { rounds, iterations, .. } = settings.albedo;
 
     let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
-    problem.solve(&mut albedo, &Roughness::PerPixel(&looked_up(&seen, &of_texels)), &sigma, 1, iterations);
+    let target = problem.target(&Roughness::PerPixel(&looked_up(seen, &of_texels)));
+    problem.solve(&mut albedo, &target, &sigma, 1, iterations);
     let palettes = problem.palettes(&albedo, &settings.palette);
     let roughness = by_colour(
         &problem,
@@ -64,7 +76,8 @@ pub fn fit(
         &evidence,
         settings,
     );
-    problem.solve(&mut albedo, &Roughness::PerPixel(&looked_up(&seen, &roughness)), &sigma, rounds, iterations);
+    let target = problem.target(&Roughness::PerPixel(&looked_up(seen, &roughness)));
+    problem.solve(&mut albedo, &target, &sigma, rounds, iterations);
 
     let palettes = problem.palettes(&albedo, &settings.palette);
     let painted: Vec<Vec3A> =
@@ -80,7 +93,41 @@ pub fn fit(
         albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
         roughness: atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
         irradiance: atlas.scatter_padded(&corrected, &all, [0.0; 3], bake::PADDING),
+        diffuse,
     })
+}
+
+/// What the scan found under one diffuse model.
+struct Scanned {
+    diffuse: DiffuseModel,
+    albedo: Vec<Vec3A>,
+    evidence: scan::Evidence,
+    by_segment: Vec<f32>,
+}
+
+/// A model with more to it must explain the images this much better than a simpler one.
+const CLEARLY: f64 = 0.95;
+
+/// Scans under every model that comes into question, simple ones first, and keeps the one under which the images are
+/// explained best.
+fn scan_models(
+    problem: &mut AlbedoProblem<'_>,
+    segments: &Segments,
+    settings: &FullSettings,
+    progress: &dyn Progress,
+) -> Result<Scanned> {
+    let mut best: Option<(f64, Scanned)> = None;
+    for diffuse in settings.diffuse.candidates() {
+        problem.diffuse = diffuse;
+        let mut albedo = problem.start();
+        let evidence = scan::scan(problem, &settings.roughness, &mut albedo, progress)?;
+        let by_segment = roughness(segments, &evidence, settings);
+        let cost = evidence.mean_cost(&by_segment);
+        if best.as_ref().is_none_or(|(least, _)| cost < CLEARLY * *least) {
+            best = Some((cost, Scanned { diffuse, albedo, evidence, by_segment }));
+        }
+    }
+    best.map(|(_, scanned)| scanned).ok_or_else(|| Error::invalid("no diffuse model to choose from"))
 }
 
 /// Roughness of every texel, by the colours of its segment.
@@ -163,7 +210,7 @@ fn roughness(segments: &Segments, evidence: &scan::Evidence, settings: &FullSett
     let parent: Vec<f32> = some_texel.iter().map(|&t| room[segments.class_in_room[t] as usize]).collect();
     let segment = settle(
         evidence,
-        &Level { group: &evidence.segment, parent: &parent, pull: s.segment_pull, half_believed: 0.0 },
+        &Level { group: &evidence.segment, parent: &parent, pull: s.segment_pull, half_believed: s.segment_pixels },
     );
     segment.into_iter().map(|r| r.min(s.cap)).collect()
 }

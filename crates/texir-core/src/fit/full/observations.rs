@@ -1,7 +1,7 @@
 //! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would shine
 //! at any roughness.
 
-use glam::{Vec3, Vec3A};
+use glam::Vec3A;
 use rayon::prelude::*;
 
 use crate::atlas::Atlas;
@@ -109,7 +109,7 @@ impl Observer<'_> {
             let (x, y) = (pixel % view.camera.width * AXIS, pixel / view.camera.width * AXIS);
             std::array::from_fn(|k| (y + k / AXIS) * fine.width + x + k % AXIS)
         };
-        let lit = |hit: &Hit| hit.is_hit() && self.emitters.data[index.nearest(hit.uv(mesh))];
+        let lit = |hit: &Hit| hit.is_hit() && self.emitters.data[self.emitters.nearest(hit.uv(mesh))];
         let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
             .into_par_iter()
             .filter(|&pixel| mask.as_ref().is_none_or(|m| m.data[pixel]))
@@ -139,9 +139,7 @@ impl Observer<'_> {
         let sampling = self.settings.sampling(self.seed, all.views.len() as u32);
         all.curves.extend(backend.specular_tables(&strata, sampling, progress)?);
         progress.advance((view.camera.pixels() - pixels.len()) as u64 * u64::from(sampling.rays()));
-        all.cosine.extend(strata.iter().map(|strata| {
-            strata.iter().map(|p| Vec3::from(p.normal).dot(Vec3::from(p.view))).sum::<f32>() / STRATA as f32
-        }));
+        all.cosine.extend(strata.iter().map(|s| s.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32));
         let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
         for (pixel, taps) in &pixels {
             all.radiance.push(Vec3A::from(image.data[*pixel]));
@@ -172,12 +170,6 @@ impl TexelIndex {
             index[texel as usize] = i as u32;
         }
         Self { width: atlas.width, height: atlas.height, index }
-    }
-
-    /// Atlas index of the texel that holds `uv`.
-    fn nearest(&self, uv: glam::Vec2) -> usize {
-        let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
-        texel(uv.y, self.height) * self.width + texel(uv.x, self.width)
     }
 
     /// Bilinear shares of the valid texels around `uv`; they are not normalised.

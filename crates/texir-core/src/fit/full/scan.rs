@@ -12,7 +12,7 @@ use super::neighbours::NONE;
 use crate::error::Result;
 use crate::fit::settings::RoughnessSettings;
 use crate::progress::Progress;
-use crate::specular_table::{NODES, node, node_step};
+use crate::specular_table::{NODES, nearest_node, node, node_step};
 
 /// What each pixel says about roughness.
 pub struct Evidence {
@@ -20,6 +20,16 @@ pub struct Evidence {
     pub segment: Vec<u32>,
     /// Per pixel and node: ln(1 + (e/2σ)²), e without what the segment's grazing term explains.
     pub cost: Vec<[f16; NODES]>,
+}
+
+impl Evidence {
+    /// The mean over all pixels at the nodes nearest to their segments' roughness.
+    pub fn mean_cost(&self, roughness: &[f32]) -> f64 {
+        let nodes: Vec<usize> = roughness.iter().map(|r| nearest_node(*r)).collect();
+        let costs = self.cost.iter().zip(&self.segment).filter(|(_, s)| **s != NONE);
+        let (sum, count) = costs.fold((0.0, 0u64), |(sum, n), (c, s)| (sum + c[nodes[*s as usize]].to_f64(), n + 1));
+        sum / count.max(1) as f64
+    }
 }
 
 /// Scans all nodes from rough to smooth, the albedo of one node being the start of the next. `albedo` is left at the
@@ -34,13 +44,20 @@ pub fn scan(
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
+    let mut slopes = vec![0.0; problem.segment.1];
     for k in (0..NODES).rev() {
         progress.check()?;
-        let roughness = Roughness::Node(k);
-        problem.solve(albedo, &roughness, &sigma, 1, settings.iterations);
-        let residual = problem.residual(albedo, &problem.target(&roughness));
+        let mut target = problem.target(&Roughness::Node(k));
+        (&mut target, &segment, &problem.seen.cosine).into_par_iter().for_each(|(target, segment, cosine)| {
+            if *segment != NONE {
+                *target += slopes[*segment as usize] * grazing(*cosine);
+            }
+        });
+        problem.solve(albedo, &target, &sigma, 1, settings.iterations);
+        let residual = problem.residual(albedo, &target);
         let residual: Vec<f32> = residual.par_iter().map(|e| e.element_sum() / 3.0).collect();
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
+        slopes.iter_mut().zip(&nuisance).for_each(|(slope, [more, _])| *slope = (*slope + more).clamp(-1.0, 1.0));
         (&mut cost, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
             |(cost, e, s, segment, cosine)| {
                 if *segment != NONE {

@@ -140,7 +140,7 @@ fn least_squares_recovers_albedo_beside_highlights() {
     let sigma = problem.noise(settings.image_noise);
     let error = |r: f32| {
         let mut albedo = problem.start();
-        problem.solve(&mut albedo, &Roughness::PerPixel(&vec![r; toy.seen.len()]), &sigma, 3, 25);
+        problem.solve(&mut albedo, &problem.target(&Roughness::PerPixel(&vec![r; toy.seen.len()])), &sigma, 3, 25);
         let seen = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
         seen.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max)
     };

@@ -10,6 +10,7 @@ use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
 use crate::capture::View;
+use crate::diffuse::DiffuseModel;
 use crate::error::Result;
 use crate::fit::settings::FitSettings;
 use crate::inpaint;
@@ -44,7 +45,7 @@ pub fn fit(
     Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log, started: Instant::now() }
         .run(&mut textures)?;
     let (albedo, roughness) = complete(backend, scene, atlas, &pyramid, &views, &textures)?;
-    Ok(Materials { albedo, roughness, irradiance: ground.irradiance.clone() })
+    Ok(Materials { albedo, roughness, irradiance: ground.irradiance.clone(), diffuse: DiffuseModel::Lambert })
 }
 
 /// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep the

@@ -123,9 +123,7 @@ impl Surroundings<'_> {
     }
 
     fn is_emitter(&self, hit: &Hit) -> bool {
-        let uv = hit.uv(&self.ground.scene.mesh);
-        let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
-        *self.ground.emitters.at(texel(uv.x, self.ground.emitters.width), texel(uv.y, self.ground.emitters.height))
+        self.ground.emitters.data[self.ground.emitters.nearest(hit.uv(&self.ground.scene.mesh))]
     }
 
     /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.
