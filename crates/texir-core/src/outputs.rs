@@ -14,6 +14,7 @@ use crate::image_io::{read_gray, read_rgb, write_gray, write_rgb};
 use crate::mesh::Mesh;
 use crate::mesh_io;
 use crate::progress::Progress;
+use crate::raster::Gray;
 use crate::render::Textures;
 
 /// Linear albedo, OpenEXR.
@@ -24,6 +25,8 @@ pub const ROUGHNESS: &str = "roughness.exr";
 pub const IRRADIANCE: &str = "irradiance.exr";
 /// Emitted radiance, OpenEXR.
 pub const EMISSION: &str = "emission.exr";
+/// How well the views know the roughness, 0 (a guess) to 1, OpenEXR; full mode writes it.
+pub const CONFIDENCE: &str = "confidence.exr";
 /// How the textures scatter light ([`Scattering`]), JSON.
 pub const MATERIALS: &str = "materials.json";
 /// Texture-based lighting, OpenEXR.
@@ -49,11 +52,12 @@ pub const RUN: &str = "run.json";
 pub const REPORT: &str = "report.html";
 
 /// Every file of the folder.
-const FILES: [&str; 15] = [
+const FILES: [&str; 16] = [
     ALBEDO,
     ROUGHNESS,
     IRRADIANCE,
     EMISSION,
+    CONFIDENCE,
     MATERIALS,
     HDR_TEXTURE,
     HDR_TEXTURE_MASK,
@@ -104,6 +108,8 @@ pub struct FitOutput {
     pub tbl: Tbl,
     /// Materials and light.
     pub textures: Textures,
+    /// How well the views know the roughness, 0 (a guess) to 1, where the fit tells.
+    pub confidence: Option<Gray>,
 }
 
 impl FitOutput {
@@ -114,6 +120,9 @@ impl FitOutput {
         write_gray(folder.join(ROUGHNESS), roughness)?;
         write_rgb(folder.join(IRRADIANCE), irradiance)?;
         write_rgb(folder.join(EMISSION), emission)?;
+        if let Some(confidence) = &self.confidence {
+            write_gray(folder.join(CONFIDENCE), confidence)?;
+        }
         let scattering = Scattering { diffuse: *diffuse };
         write_atomic(folder.join(MATERIALS), |sink| serde_json::to_writer_pretty(sink, &scattering))?;
         self.tbl.write(folder.join(HDR_TEXTURE))?;
@@ -136,8 +145,10 @@ impl FitOutput {
             irradiance: read_rgb(folder.join(IRRADIANCE))?,
             emission: read_rgb(folder.join(EMISSION))?,
         };
+        let confidence = folder.join(CONFIDENCE);
+        let confidence = if confidence.is_file() { Some(read_gray(confidence)?) } else { None };
         let tbl = Tbl::read(folder.join(HDR_TEXTURE), progress)?;
-        Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, tbl, textures })
+        Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, tbl, textures, confidence })
     }
 }
 

@@ -75,7 +75,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let scene = Scene::new(capture.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
     let mut log: Vec<EpochLog> = Vec::new();
-    let FitResult { textures, tbl, plan, timings } =
+    let FitResult { textures, confidence, tbl, plan, timings } =
         fit::fit(backend.as_mut(), &scene, capture, &session.config.fit, session.console, &mut |epoch| {
             log.push(*epoch)
         })?;
@@ -86,7 +86,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         timings,
     };
     drop(backend);
-    let output = FitOutput { mesh: scene.mesh, tbl, textures };
+    let output = FitOutput { mesh: scene.mesh, tbl, textures, confidence };
     let folder = staging.folder();
     output.save(folder)?;
     let Textures { albedo, roughness, emission, .. } = &output.textures;

@@ -50,7 +50,7 @@ pub fn publish(
     let page = report::Report {
         title: name(&capture.root),
         summary: format!("{}, {}.", describe(capture), describe_textures(&output.textures)),
-        textures: report::texture_figures(&output.textures)?,
+        textures: report::texture_figures(&output.textures, output.confidence.as_ref())?,
         rooms: read(&out.join(ROOMS))?.map(|bytes| Picture::from_png(&bytes)).transpose()?,
         curves: report::draw_curves(&report::parse_log(&read_text(&out.join(LOG))?)?)?,
         views: panels.into_iter().collect::<Result<_, _>>()?,

@@ -9,6 +9,7 @@ use std::path::Path;
 
 use texir_core::capture::Split;
 use texir_core::eval::{Evaluated, Evaluation, Score, Scores};
+use texir_core::raster::Gray;
 use texir_core::render::Textures;
 
 use crate::failure::Failure;
@@ -119,7 +120,7 @@ impl ViewPanel {
 }
 
 /// The page's pictures of a fit's textures.
-pub fn texture_figures(textures: &Textures) -> Result<Vec<TextureFigure>, Failure> {
+pub fn texture_figures(textures: &Textures, confidence: Option<&Gray>) -> Result<Vec<TextureFigure>, Failure> {
     let Textures { albedo, roughness, irradiance, .. } = textures;
     let diffuse = irradiance.map(|p| p.map(|c| c * std::f32::consts::FRAC_1_PI));
     let figure = |name, (width, height): (usize, usize), shown: &str, picture| TextureFigure {
@@ -127,11 +128,16 @@ pub fn texture_figures(textures: &Textures) -> Result<Vec<TextureFigure>, Failur
         note: format!("{width} × {height}{shown}"),
         picture,
     };
-    Ok(vec![
+    let mut figures = vec![
         figure("Albedo", albedo.size(), "", Picture::linear_texture(albedo)?),
         figure("Roughness", roughness.size(), ", black 0, white 1", Picture::value_texture(roughness)?),
         figure("Irradiance", irradiance.size(), ", shown as E/π", Picture::linear_texture(&diffuse)?),
-    ])
+    ];
+    if let Some(confidence) = confidence {
+        let note = ": black where roughness is a guess";
+        figures.push(figure("Confidence", confidence.size(), note, Picture::value_texture(confidence)?));
+    }
+    Ok(figures)
 }
 
 /// Writes the page; what was there before stays until the new one is whole.
@@ -146,7 +152,7 @@ mod tests {
     use texir_core::diffuse::DiffuseModel;
     use texir_core::eval::{AlbedoScore, Table, ViewScores};
     use texir_core::fit::{EpochLog, Stage};
-    use texir_core::raster::{Gray, Mask, Rgb};
+    use texir_core::raster::{Mask, Rgb};
 
     fn score(psnr: f64) -> Score {
         Score { psnr, ssim: 1.0 - 3.0 / psnr, mse: 10f64.powf(-psnr / 10.0) }
@@ -230,7 +236,7 @@ mod tests {
                     ceiling: None,
                 }],
             },
-            textures: texture_figures(&textures).unwrap(),
+            textures: texture_figures(&textures, Some(&textures.roughness)).unwrap(),
             rooms: Some(Picture::linear(&bands(0.5)).unwrap()),
             curves: draw_curves(&log).unwrap(),
             views: vec![panel("pano_000", Split::Train), panel("pano_012", Split::Novel)],

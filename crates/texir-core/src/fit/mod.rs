@@ -60,6 +60,8 @@ pub struct Materials {
     pub irradiance: Rgb,
     /// The diffuse model that albedo belongs to.
     pub diffuse: DiffuseModel,
+    /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
+    pub confidence: Option<Gray>,
 }
 
 /// What a fit yields, all in the same atlas.
@@ -67,6 +69,8 @@ pub struct Materials {
 pub struct FitResult {
     /// Materials, irradiance, and emission: the TBL where it is a light source, 0 elsewhere.
     pub textures: Textures,
+    /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
+    pub confidence: Option<Gray>,
     /// The texture-based lighting that was used.
     pub tbl: Tbl,
     /// The rooms that were found.
@@ -139,11 +143,11 @@ pub fn fit(
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
         Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
     };
-    let Materials { albedo, roughness, irradiance, diffuse } = materials;
+    let Materials { albedo, roughness, irradiance, diffuse, confidence } = materials;
     let textures = Textures { albedo, roughness, irradiance, emission, diffuse };
     timings.mark("materials");
 
-    Ok(FitResult { textures, tbl, plan, timings: timings.entries })
+    Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
 }
 
 fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {

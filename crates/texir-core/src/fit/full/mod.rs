@@ -89,11 +89,14 @@ pub fn recover(
         .collect();
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
+    let known = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);
+    let confidence: Vec<f32> = segments.segment.iter().map(|&s| known[s as usize]).collect();
     Ok(Materials {
         albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
         roughness: atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
         irradiance: atlas.scatter_padded(&corrected, &all, [0.0; 3], bake::PADDING),
         diffuse,
+        confidence: Some(atlas.scatter_padded(&confidence, &all, 0.0, bake::PADDING)),
     })
 }
 

@@ -163,6 +163,21 @@ fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_i
 }
 
 #[test]
+fn confidence_is_high_where_costs_rise_and_zero_without_pixels() {
+    use super::hierarchy::confidence;
+    use crate::specular_table::{NODES, node};
+    let parabola =
+        |depth: f32| std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (node(k) / 0.3).ln().powi(2)));
+    let clear: [half::f16; NODES] = parabola(0.05);
+    let vague: [half::f16; NODES] = parabola(1e-4);
+    let evidence = super::scan::Evidence { segment: vec![0, 1, NONE], cost: vec![clear, vague, clear] };
+    let known = confidence(&evidence, &evidence.segment, 3, 0.0);
+    assert!(known[0] > 0.7 && known[1] < 0.3 && known[2] == 0.0, "{known:?}");
+    let hardly = confidence(&evidence, &evidence.segment, 3, 9.0);
+    assert!((hardly[0] - 0.1 * known[0]).abs() < 1e-6, "one pixel where nine more are asked for: {hardly:?}");
+}
+
+#[test]
 fn the_minimum_of_a_parabola_is_found_between_nodes() {
     use crate::specular_table::{NODES, node, node_step};
     let centre = (node(9) * (0.3 * node_step()).exp()).ln();

@@ -45,7 +45,13 @@ pub fn fit(
     Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log, started: Instant::now() }
         .run(&mut textures)?;
     let (albedo, roughness) = complete(backend, scene, atlas, &pyramid, &views, &textures)?;
-    Ok(Materials { albedo, roughness, irradiance: ground.irradiance.clone(), diffuse: DiffuseModel::Lambert })
+    Ok(Materials {
+        albedo,
+        roughness,
+        irradiance: ground.irradiance.clone(),
+        diffuse: DiffuseModel::Lambert,
+        confidence: None,
+    })
 }
 
 /// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep the
