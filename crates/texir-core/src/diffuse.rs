@@ -4,6 +4,7 @@
 //! light, over that of a Lambertian.
 
 use std::f32::consts::PI;
+use std::fmt::{self, Display, Formatter};
 use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
@@ -17,6 +18,15 @@ pub enum DiffuseModel {
     Lambert,
     /// Retro-reflection of rough surfaces (Burley, "Physically Based Shading at Disney", 2012, section 5.3).
     Burley,
+}
+
+impl Display for DiffuseModel {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Lambert => "Lambert",
+            Self::Burley => "Burley",
+        })
+    }
 }
 
 impl DiffuseModel {

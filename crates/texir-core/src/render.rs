@@ -276,3 +276,6 @@ impl Values {
         self.emission.append(&mut other.emission);
     }
 }
+
+#[cfg(test)]
+mod tests;

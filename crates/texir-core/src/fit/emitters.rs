@@ -64,3 +64,67 @@ fn sightings(
 fn luminance(c: &[f32; 3]) -> f32 {
     0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{Mat4, Vec2, Vec3};
+
+    use super::*;
+    use crate::camera::{Camera, Projection};
+    use crate::capture::Split;
+    use crate::cpu::CpuBackend;
+    use crate::image_io::write_rgb;
+    use crate::mesh::Mesh;
+    use crate::progress::Silent;
+    use crate::scene::Scene;
+
+    const SIDE: usize = 8;
+    const LAMP: usize = 2 * SIDE + 2;
+    const BESIDE: usize = 5 * SIDE + 5;
+
+    #[test]
+    fn what_only_the_texture_takes_for_a_lamp_is_none() {
+        let square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+        let mesh = Mesh {
+            positions: square.map(|(x, y)| Vec3::new(2.0 * x - 1.0, 2.0 * y - 1.0, 0.0)).to_vec(),
+            normals: vec![Vec3::Z; 4],
+            uvs: square.map(|(x, y)| Vec2::new(x, y)).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        let scene = Scene::new(mesh).unwrap();
+        let mut backend = CpuBackend::new(&scene);
+        let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
+        let dim = [0.2; 3];
+        let mut truth = Rgb::filled(SIDE, SIDE, dim);
+        truth.data[LAMP] = [10.0; 3];
+        let mut radiance = truth.clone();
+        radiance.data[BESIDE] = [10.0; 3];
+
+        let folder = tempfile::tempdir().unwrap();
+        let views = [-0.4, 0.1, 0.5].map(|x| {
+            let camera = Camera {
+                projection: Projection::Equirectangular,
+                width: 128,
+                height: 64,
+                world_from_camera: Mat4::from_translation(Vec3::new(x, 0.1, 1.0)),
+            };
+            let hits = backend.primary(&camera).unwrap();
+            let seen = |hit: &crate::surface::Hit| match hit {
+                hit if hit.is_hit() => truth.data[truth.nearest(hit.uv(&scene.mesh))],
+                _ => [0.0; 3],
+            };
+            let image = folder.path().join(format!("{x}.exr"));
+            write_rgb(&image, &Rgb::new(128, 64, hits.iter().map(seen).collect()).unwrap()).unwrap();
+            let name = x.to_string();
+            let (semantic, mask, room, room_id, albedo, roughness) = (None, None, None, None, None, None);
+            View { name, camera, split: Split::Train, image, semantic, mask, room, room_id, albedo, roughness }
+        });
+        let irradiance = Rgb::filled(SIDE, SIDE, [0.5; 3]);
+        let mut found = |views: &[View]| {
+            let mask = find(&mut backend, &atlas, (&radiance, &irradiance), views, 3.0, &Silent).unwrap();
+            (0..SIDE * SIDE).filter(|&t| mask.data[t]).collect::<Vec<_>>()
+        };
+        assert_eq!(found(&views), [LAMP]);
+        assert_eq!(found(&[]), [LAMP, BESIDE], "without views the texture decides");
+    }
+}

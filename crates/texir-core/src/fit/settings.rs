@@ -277,9 +277,9 @@ impl Default for FitSettings {
 impl Default for FullSettings {
     fn default() -> Self {
         Self {
-            lobe_samples: 4,
+            lobe_samples: 6,
             cosine_samples: 2,
-            light_samples: 8,
+            light_samples: 12,
             diffuse: DiffuseChoice::default(),
             albedo: AlbedoSettings::default(),
             roughness: RoughnessSettings::default(),

@@ -40,7 +40,7 @@ pub fn scan(
     albedo: &mut [Vec3A],
     progress: &dyn Progress,
 ) -> Result<Evidence> {
-    progress.start("roughness scan", NODES as u64, "roughnesses");
+    progress.start(&format!("roughness scan, {}", problem.diffuse), NODES as u64, "roughnesses");
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];

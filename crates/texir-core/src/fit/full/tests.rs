@@ -237,7 +237,7 @@ fn local_roughness_follows_clear_evidence_only() {
     let group = vec![0; texels.len()];
     let surface =
         Surface { width: width as usize, texels: &texels, group: &group, heaviest: &texels, texel_size: 0.05 };
-    let settings = LocalSettings::default();
+    let settings = LocalSettings { pull: 1.0, ..LocalSettings::default() };
     let refined = |depth| refine(&surface, &evidence(depth), vec![0.2; texels.len()], &settings);
     let clear = refined(1.0);
     assert!(clear[8] < 0.13 && clear[56] > 0.32, "{} {}", clear[8], clear[56]);

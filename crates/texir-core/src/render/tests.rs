@@ -1,0 +1,85 @@
+//! Rendered views against shading, which draws its samples otherwise.
+
+use glam::{Mat4, Vec2, Vec3};
+
+use super::*;
+use crate::backend::{Material, RoughnessGradient, Sampling};
+use crate::camera::Projection;
+use crate::cpu::CpuBackend;
+use crate::mesh::Mesh;
+use crate::progress::Silent;
+
+const ALBEDO: f32 = 0.5;
+const IRRADIANCE: f32 = 0.8;
+
+/// A floor and a ceiling with a bright quarter.
+fn scene() -> (Scene, Rgb) {
+    let mut mesh = Mesh { positions: vec![], normals: vec![], uvs: vec![], triangles: vec![] };
+    for (z, normal, left) in [(0.0, Vec3::Z, 0.0), (2.0, -Vec3::Z, 0.5)] {
+        let first = mesh.positions.len() as u32;
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            mesh.positions.push(Vec3::new(6.0 * x - 3.0, 6.0 * y - 3.0, z));
+            mesh.normals.push(normal);
+            mesh.uvs.push(Vec2::new(left + 0.5 * x, y));
+        }
+        mesh.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+    }
+    let bright = |i: usize| if i % 16 >= 12 && i / 16 < 4 { [3.0, 2.0, 1.0] } else { [0.1, 0.2, 0.3] };
+    (Scene::new(mesh).unwrap(), Rgb::new(16, 8, (0..16 * 8).map(bright).collect()).unwrap())
+}
+
+fn camera() -> Camera {
+    Camera {
+        projection: Projection::Equirectangular,
+        width: 16,
+        height: 8,
+        world_from_camera: Mat4::from_translation(Vec3::new(0.2, 0.1, 1.0)),
+    }
+}
+
+/// Mean difference of the two images over the mean of the second.
+fn difference(image: &Rgb, other: &Rgb) -> f32 {
+    let (a, b) = (image.data.as_flattened(), other.data.as_flattened());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / b.iter().sum::<f32>()
+}
+
+#[test]
+fn views_agree_with_shading_of_every_sub_pixel() {
+    let (scene, radiance) = scene();
+    let roughness = 0.3;
+    let rgb = |value: f32| Rgb::filled(16, 8, [value; 3]);
+    let textures = |diffuse, roughness| Textures {
+        albedo: rgb(ALBEDO),
+        roughness: Gray::filled(16, 8, roughness),
+        irradiance: rgb(IRRADIANCE),
+        emission: rgb(0.0),
+        diffuse,
+    };
+    let mut backend = CpuBackend::new(&scene);
+    let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 1024, 1).unwrap();
+    let lambert = textures(DiffuseModel::Lambert, roughness);
+    let burley = textures(DiffuseModel::Burley, roughness);
+    let smoother = textures(DiffuseModel::Lambert, 0.15);
+    let [rendered, burley, smoother] =
+        renderer.render_each(&camera(), [&lambert, &burley, &smoother], &Silent).unwrap();
+
+    let fine = camera().supersampled(SUB_PIXELS);
+    let hits = backend.primary(&fine).unwrap();
+    let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
+    let point = |&i: &u32| ShadePoint::new(&scene.mesh, &fine, i, &hits[i as usize], [IRRADIANCE; 3]);
+    let points: Vec<ShadePoint> = seen.iter().map(point).collect();
+    let materials = vec![Material::dielectric([ALBEDO; 3], roughness); points.len()];
+    let sampling = Sampling { samples: 1024, seed: 5 };
+    let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
+    let mut expected = Rgb::filled(16, 8, [0.0; 3]);
+    for (&i, shaded) in seen.iter().zip(&shaded) {
+        let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
+        let sum = &mut expected.data[y * 16 + x];
+        *sum = std::array::from_fn(|c| sum[c] + shaded.radiance[c] / (SUB_PIXELS * SUB_PIXELS) as f32);
+    }
+    let off = difference(&rendered, &expected);
+    assert!(off < 0.01, "{off}");
+    // Negative controls: another roughness and another diffuse model show.
+    assert!(difference(&smoother, &expected) > 2.0 * off, "{off} {}", difference(&smoother, &expected));
+    assert!(difference(&burley, &expected) > 2.0 * off, "{off} {}", difference(&burley, &expected));
+}
