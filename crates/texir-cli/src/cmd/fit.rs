@@ -13,6 +13,7 @@ use texir_core::render::Textures;
 use texir_core::scene::Scene;
 
 use super::{CaptureArgs, Session, describe, eval, report};
+use crate::args::Config;
 use crate::device;
 use crate::failure::Failure;
 use crate::figures;
@@ -94,8 +95,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     write_glb(folder.join(SCENE), &output.mesh, &materials, Up::Z)?;
     let cameras: Vec<_> = capture.views.iter().map(|v| v.camera.position()).collect();
     plan.write_png(&folder.join(ROOMS), &cameras)?;
-    let settings = toml::to_string_pretty(session.config)
-        .map_err(|e| Failure::new(format!("the settings have no TOML form: {e}")))?;
+    let settings = settings(session.config)?;
     write_atomic(folder.join(SETTINGS), |sink| sink.write_all(settings.as_bytes()))?;
     write_atomic(folder.join(LOG), |sink| -> Result<(), serde_json::Error> {
         log.iter().try_for_each(|epoch| {
@@ -106,6 +106,11 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     write_atomic(folder.join(RUN), |sink| serde_json::to_writer_pretty(sink, &run))?;
     staging.commit()?;
     Ok(output)
+}
+
+/// `config` as `settings.toml` holds it.
+pub fn settings(config: &Config) -> Result<String, Failure> {
+    toml::to_string_pretty(config).map_err(|e| Failure::new(format!("the settings have no TOML form: {e}")))
 }
 
 /// The path as it will be found from anywhere.

@@ -1,5 +1,6 @@
 //! One file per command, each thin: arguments → library → what the user is told.
 
+mod ablate;
 mod bake;
 mod demo;
 mod eval;
@@ -40,6 +41,8 @@ pub enum Command {
     Bake(bake::Bake),
     /// Fit materials to a capture: albedo, roughness, irradiance, a GLB, figures and a report
     Fit(fit::Fit),
+    /// Fit with parts of the method left out, and compare: what each is worth on a capture
+    Ablate(ablate::Ablate),
     /// Render the result of a fit from other cameras
     Render(render::Render),
     /// Compare the result of a fit with the truth, beside what true materials would reach
@@ -82,6 +85,7 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
         Command::Tbl(command) => command.run(session),
         Command::Bake(command) => command.run(session),
         Command::Fit(command) => command.run(session),
+        Command::Ablate(command) => command.run(session),
         Command::Render(command) => command.run(session),
         Command::Eval(command) => command.run(session),
         Command::Report(command) => command.run(session),

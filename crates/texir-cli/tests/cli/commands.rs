@@ -10,13 +10,14 @@ use crate::room::{ATLAS, Capture, HEIGHT, VIEWS, WIDTH, names};
 use crate::texir::{fit, succeed};
 
 /// Everything that a fit with ground truth leaves behind.
-const FILES: [&str; 14] = [
+const FILES: [&str; 15] = [
     "albedo.exr",
     "emission.exr",
     "hdr_texture.exr",
     "hdr_texture_mask.png",
     "irradiance.exr",
     "log.jsonl",
+    "materials.json",
     "mesh.obj",
     "metrics.json",
     "report.html",
@@ -101,14 +102,35 @@ fn fit_render_eval_and_report_on_the_cpu() {
     assert_readable(&out);
 
     render(&capture, &out);
-    let arguments = ["eval".as_ref(), out.as_os_str(), "--spp".as_ref(), "8".as_ref(), "--json".as_ref()];
+    let arguments = ["eval".as_ref(), out.as_os_str(), "--spp".as_ref(), "256".as_ref(), "--json".as_ref()];
     let said = succeed(&[&arguments[..], &["--backend".as_ref(), "cpu".as_ref()]].concat());
     assert_metrics(&json(&said.out));
-    assert_eq!(json(&said.out)["samples"], 8);
+    assert_eq!(json(&said.out)["samples"], 256);
     std::fs::remove_file(out.join("report.html")).unwrap();
     let said = succeed(&["report".as_ref(), out.as_os_str(), "--spp".as_ref(), "8".as_ref(), "-q".as_ref()]);
     assert!(said.out.contains("report.html") && said.out.contains("Novel views"), "{}", said.out);
     assert_self_contained(&out.join("report.html"));
+}
+
+#[test]
+fn an_ablation_compares_every_variant_and_keeps_what_is_done() {
+    let capture = Capture::new();
+    let out = capture.out("ablation");
+    let mut arguments = fit(&capture.path(), &out, &["--backend", "cpu", "--json"]);
+    arguments[0] = "ablate".into();
+    let said = json(&succeed(&arguments).out);
+    let names: Vec<&str> = said.as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["joint", "without-stage-1", "without-stage-2", "without-stage-3", "paper", "full"]);
+    let roughness = |i: usize| said[i]["evaluation"]["result"]["train"]["roughness"]["psnr"].as_f64().unwrap();
+    assert!((0..6).all(|i| roughness(i) > 0.0) && roughness(2) != roughness(4), "{said}");
+    assert!(out.join("full/confidence.exr").is_file() && !out.join("paper/confidence.exr").exists());
+    assert!(std::fs::read_to_string(out.join("full/materials.json")).unwrap().contains("diffuse"));
+
+    let written = |name: &str| std::fs::metadata(out.join(name)).unwrap().modified().unwrap();
+    let before = written("paper/albedo.exr");
+    std::fs::remove_file(out.join("full/metrics.json")).unwrap();
+    assert_eq!(json(&succeed(&arguments).out), said, "what is missing is made anew, alike");
+    assert_eq!(written("paper/albedo.exr"), before, "what is there stays");
 }
 
 fn assert_textures(out: &Path) {
