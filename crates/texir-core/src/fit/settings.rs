@@ -154,7 +154,8 @@ pub struct AlbedoSettings {
     pub iterations: u32,
 }
 
-/// Roughness by a scan, and how groups follow their parents: pulls are per pixel, on (ln r − ln r_parent)².
+/// Roughness by a scan, and how groups follow their parents: pulls weigh (ln r − ln r_parent)² against the logarithm of
+/// the mean cost, so that 0.1 is what a tenth more of misfit is worth.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RoughnessSettings {
