@@ -47,6 +47,7 @@ pub fn scan(
     let mut slopes = vec![0.0; problem.segment.1];
     for k in (0..NODES).rev() {
         progress.check()?;
+        // What is known of the grazing terms from rougher nodes is no business of albedo.
         let mut target = problem.target(&Roughness::Node(k));
         (&mut target, &segment, &problem.seen.cosine).into_par_iter().for_each(|(target, segment, cosine)| {
             if *segment != NONE {

@@ -59,7 +59,7 @@ struct Toy {
     segment: Vec<u32>,
 }
 
-fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32) -> Toy {
+fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
     let (scene, radiance) = room();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, 2 * FLOOR, FLOOR).unwrap();
@@ -74,7 +74,7 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32) -> Toy {
     for view in 0..8 {
         let angle = view as f32 / 8.0 * std::f32::consts::TAU;
         let radius = if view % 2 == 0 { 1.2 } else { 0.4 };
-        let camera = Vec3::new(radius * angle.cos(), radius * angle.sin(), 1.0 + 0.05 * view as f32);
+        let camera = Vec3::new(radius * angle.cos(), radius * angle.sin(), height + 0.05 * view as f32);
         for (t, point) in atlas.points.iter().enumerate().filter(|(t, _)| on_floor[*t]) {
             let to_camera = (camera - Vec3::from(point.position)).normalize();
             strata.push(
@@ -120,7 +120,7 @@ impl Toy {
 fn the_scan_recovers_roughness_under_a_small_lamp() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
     for truth in [0.08f32, 0.15, 0.3, 0.5, 0.7, 0.9] {
-        let toy = toy(|t| Vec3A::new(0.3, 0.5, 0.4) + 0.02 * (t % 5) as f32, truth);
+        let toy = toy(|t| Vec3A::new(0.3, 0.5, 0.4) + 0.02 * (t % 5) as f32, truth, 1.0);
         let problem = toy.problem(&settings);
         let mut albedo = problem.start();
         let evidence = scan(&problem, &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
@@ -132,10 +132,33 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
 }
 
 #[test]
+fn the_diffuse_model_is_the_one_that_the_images_were_made_with() {
+    use super::scan_models;
+    use super::segments::Segments;
+    use crate::fit::settings::FullSettings;
+    let settings = FullSettings::default();
+    for truth in [DiffuseModel::Lambert, DiffuseModel::Burley] {
+        let roughness = 0.9;
+        let mut toy = toy(|_| Vec3A::splat(0.5), roughness, 0.45);
+        for p in 0..toy.seen.len() {
+            let texel = toy.seen.rows.taps[p].texel as usize;
+            let diffuse = 0.5 * toy.irradiance[texel] * std::f32::consts::FRAC_1_PI;
+            toy.seen.radiance[p] += (truth.factor(toy.seen.cosine[p], roughness) - 1.0) * diffuse;
+        }
+        let texels = toy.segment.len();
+        let segments =
+            Segments { class: vec![1; texels], class_in_room: vec![0; texels], segment: toy.segment.clone(), count: 2 };
+        let mut problem = toy.problem(&settings.albedo);
+        let scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
+        assert_eq!(scanned.diffuse, truth);
+    }
+}
+
+#[test]
 fn least_squares_recovers_albedo_beside_highlights() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
     let truth = |t: usize| Vec3A::new(0.2 + 0.07 * (t % 7) as f32, 0.5, 0.8 - 0.1 * (t % 3) as f32);
-    let toy = toy(truth, 0.3);
+    let toy = toy(truth, 0.3, 1.0);
     let problem = toy.problem(&settings);
     let sigma = problem.noise(settings.image_noise);
     let error = |r: f32| {
