@@ -114,6 +114,7 @@ pub(crate) fn run(
     progress: &dyn Progress,
 ) -> Result<Vec<Curve>> {
     // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
+    let asked = sampling.rays();
     let sampling = TableSampling { light: if lighting.slots == 0 { 0 } else { sampling.light }, ..sampling };
     let [lobes, cosine, lights] =
         TECHNIQUES.map(|t| ctx.kernel("specular_table", "specular_table", Some(("TECHNIQUE", t))));
@@ -121,5 +122,6 @@ pub(crate) fn run(
     let out = Vec::with_capacity(pixels.len());
     let mut pass = SpecularTable { kernels: [lobes?, cosine?, lights?], geometry, lighting, pixels, sampling, out };
     ctx.gather(pixels.len(), samples, SHAPE, progress, &mut pass)?;
+    progress.advance(pixels.len() as u64 * u64::from(asked - sampling.rays()));
     Ok(pass.out)
 }
