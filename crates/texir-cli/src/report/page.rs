@@ -87,7 +87,7 @@ fn figures(page: &mut String, report: &Report) {
         page,
         "<p class=\"note\" style=\"margin-top:12px\">Light sources are left out. Images and albedo are compared as shown on this \
          page, clamp(x<sup>1/2.2</sup>, 0, 1); roughness as it is. PSNR is that of the mean squared error over views; {} \
-         samples a pixel. {}</p>\n",
+         rays a pixel. {}</p>\n",
         evaluation.samples,
         if evaluation.ceiling.is_some() {
             "The true materials, seen through the same lighting, atlas and renderer, are the ceiling of what any fit to \
