@@ -1,6 +1,6 @@
 //! `texir ablate`: what each part of the method is worth on a capture (paper, Table 3).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
@@ -63,7 +63,8 @@ struct Outcome {
 }
 
 impl Ablate {
-    /// Fits and evaluates every variant; those that an earlier run finished with the same settings are kept.
+    /// Fits and evaluates every variant; those that an earlier run finished with the same capture
+    /// and settings are kept.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let capture = self.capture.load(session)?;
         let outcomes: Vec<Outcome> =
@@ -77,9 +78,10 @@ impl Ablate {
         let mut config = session.config.clone();
         (variant.set)(&mut config.fit);
         let session = &Session { config: &config, ..*session };
-        let earlier = std::fs::read_to_string(out.join(METRICS)).ok();
         let settings = std::fs::read_to_string(out.join(SETTINGS)).ok();
-        let evaluation = match earlier.filter(|_| settings == fit::settings(&config).ok()) {
+        let same = settings == fit::settings(&config).ok() && self.is_of_this_capture(&out, capture);
+        let earlier = std::fs::read_to_string(out.join(METRICS)).ok();
+        let evaluation = match earlier.filter(|_| same) {
             Some(metrics) => serde_json::from_str(&metrics).map_err(|e| {
                 let path = out.join(METRICS);
                 Failure::new(format!("{}: {e}", path.display())).help("remove it to fit this variant again")
@@ -91,6 +93,15 @@ impl Ablate {
             }
         };
         Ok(Outcome { name: variant.name, evaluation })
+    }
+
+    /// Whether this version made what is in `out` from this capture as it lies in its folder.
+    fn is_of_this_capture(&self, out: &Path, capture: &Capture) -> bool {
+        eval::read_run(out).is_ok_and(|run| {
+            run.version == env!("CARGO_PKG_VERSION")
+                && run.capture == fit::absolute(&capture.root)
+                && !self.capture.is_overridden()
+        })
     }
 }
 

@@ -114,6 +114,6 @@ pub fn settings(config: &Config) -> Result<String, Failure> {
 }
 
 /// The path as it will be found from anywhere.
-fn absolute(path: &Path) -> PathBuf {
+pub fn absolute(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }

@@ -106,6 +106,11 @@ pub struct CaptureArgs {
 }
 
 impl CaptureArgs {
+    /// Whether parts of the folder are replaced.
+    fn is_overridden(&self) -> bool {
+        self.mesh.is_some() || self.tbl.is_some()
+    }
+
     fn load(&self, session: &Session<'_>) -> Result<Capture, Failure> {
         let options = LoadOptions { mesh: self.mesh.clone(), tbl: self.tbl.clone() };
         Ok(capture::load(&self.capture, &options, session.console)?)
