@@ -1,5 +1,6 @@
 //! The atlas as surface points: which texels hold a piece of the mesh, and where in the world they are.
 
+use glam::Vec2;
 use rayon::prelude::*;
 
 use crate::backend::Backend;
@@ -8,7 +9,7 @@ use crate::mesh::Mesh;
 use crate::raster::Raster;
 use crate::scene::Scene;
 use crate::surface::{Hit, SurfacePoint};
-use crate::texture::Pyramid;
+use crate::texture::{Pyramid, Tap};
 
 /// The texel map of a mesh: the valid texels of a `width × height` atlas and their surface points, in atlas order.
 #[derive(Clone, Debug)]
@@ -114,5 +115,51 @@ impl Atlas {
             }
         }
         raster
+    }
+}
+
+/// Finds the valid texels at atlas positions, by their index in [`Atlas::texels`].
+pub struct TexelIndex {
+    width: usize,
+    height: usize,
+    index: Vec<u32>,
+}
+
+impl TexelIndex {
+    const EMPTY: u32 = u32::MAX;
+
+    /// The index of an atlas.
+    pub fn new(atlas: &Atlas) -> Self {
+        let mut index = vec![Self::EMPTY; atlas.width * atlas.height];
+        for (i, &texel) in atlas.texels.iter().enumerate() {
+            index[texel as usize] = i as u32;
+        }
+        Self { width: atlas.width, height: atlas.height, index }
+    }
+
+    /// The valid texel in column `x` and row `y`.
+    pub fn at(&self, x: i64, y: i64) -> Option<u32> {
+        let inside = x >= 0 && y >= 0 && x < self.width as i64 && y < self.height as i64;
+        let texel = if inside { self.index[y as usize * self.width + x as usize] } else { Self::EMPTY };
+        (texel != Self::EMPTY).then_some(texel)
+    }
+
+    /// The valid texel that `uv` lies in.
+    pub fn nearest(&self, uv: Vec2) -> Option<u32> {
+        let p = (uv * Vec2::new(self.width as f32, self.height as f32)).floor();
+        self.at(p.x as i64, p.y as i64)
+    }
+
+    /// Bilinear shares of the valid texels around `uv`; they are not normalised.
+    pub fn bilinear(&self, uv: Vec2) -> impl Iterator<Item = Tap> + use<'_> {
+        let p = uv * Vec2::new(self.width as f32, self.height as f32) - 0.5;
+        let base = p.floor();
+        let f = p - base;
+        [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter_map(move |(dx, dy)| {
+            let weight = (if dx == 0 { 1.0 - f.x } else { f.x }) * (if dy == 0 { 1.0 - f.y } else { f.y });
+            let x = (base.x as i64 + dx).clamp(0, self.width as i64 - 1);
+            let y = (base.y as i64 + dy).clamp(0, self.height as i64 - 1);
+            self.at(x, y).filter(|_| weight > 0.0).map(|texel| Tap { texel, weight })
+        })
     }
 }

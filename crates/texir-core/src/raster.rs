@@ -66,3 +66,7 @@ impl<T> Raster<T> {
         Raster { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
     }
 }
+/// Luminance of linear RGB (Rec. 709 primaries).
+pub fn luminance(rgb: &[f32; 3]) -> f32 {
+    0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
+}

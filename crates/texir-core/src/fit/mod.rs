@@ -1,15 +1,21 @@
 //! The fit: from a capture to albedo and roughness textures.
 //!
-//! texture-based lighting → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
+//! texture-based lighting → light sources → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
 
 pub mod adam;
+pub mod adjacency;
+pub mod emission;
 pub mod emitters;
 pub mod full;
+mod least_squares;
+#[cfg(test)]
+mod lit_square;
 pub mod paper;
 pub mod settings;
 
 use std::time::Instant;
 
+use adjacency::Adjacency;
 use glam::Vec3;
 
 use crate::atlas::Atlas;
@@ -28,12 +34,17 @@ use crate::tbl::{self, TblOptions};
 pub use paper::stages::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
+/// Rays per texel of the irradiance by which light sources are told from what they light.
+const ROUGH_SAMPLES: u32 = 32;
+
 /// What both modes start from: the light of the scene, and where its texels are.
 pub struct Ground<'a> {
     /// The mesh.
     pub scene: &'a Scene,
     /// Its texels.
     pub atlas: &'a Atlas,
+    /// Which of them are neighbours.
+    pub adjacency: &'a Adjacency,
     /// The texture-based lighting.
     pub radiance: &'a Rgb,
     /// Its light sources, as sampled.
@@ -98,29 +109,38 @@ pub fn fit(
         (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
         (size, _) => (size, size),
     };
-    let tbl = match &capture.tbl {
+    let mut tbl = match &capture.tbl {
         Some(tbl) if tbl.radiance.size() == size => tbl.clone(),
         _ => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
     };
     timings.mark("texture-based lighting");
 
     let atlas = Atlas::new(backend, scene, size.0, size.1)?;
-    let lights = Lights::find(&scene.mesh, &atlas, &tbl.radiance);
-    backend.set_tbl(&tbl.radiance, &lights)?;
-    let gather = Gather {
-        cosine: settings.irradiance_samples - settings.irradiance_samples / 2,
-        light: settings.irradiance_samples / 2,
-        seed: settings.seed,
+    let adjacency = Adjacency::new(&scene.mesh, &atlas);
+    let surface = (&atlas, &adjacency);
+    let mut shine = |backend: &mut dyn Backend, radiance: &Rgb, samples: u32| -> Result<(Lights, Rgb)> {
+        let lights = Lights::find(&scene.mesh, &atlas, radiance);
+        backend.set_tbl(radiance, &lights)?;
+        let gather = Gather { cosine: samples - samples / 2, light: samples / 2, seed: settings.seed };
+        let baked = bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?;
+        Ok((lights, baked.map(&atlas, bake::Buried::Fill)))
     };
-    let irradiance = bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill);
+    if settings.mode == Mode::Full && settings.full.resolve_lights {
+        let (_, irradiance) = shine(backend, &tbl.radiance, ROUGH_SAMPLES.min(settings.irradiance_samples))?;
+        let light = (&tbl.radiance, &irradiance);
+        let emitters = emitters::find(backend, surface, light, &training, settings.emitter_ratio, progress)?;
+        tbl.radiance = emission::resolve(backend, scene, surface, (&tbl.radiance, &emitters), &training, progress)?;
+        timings.mark("light sources");
+    }
+    let (lights, irradiance) = shine(backend, &tbl.radiance, settings.irradiance_samples)?;
     timings.mark("irradiance");
 
     let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();
     let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
-    let emitters =
-        emitters::find(backend, &atlas, (&tbl.radiance, &irradiance), &training, settings.emitter_ratio, progress)?;
+    let light = (&tbl.radiance, &irradiance);
+    let emitters = emitters::find(backend, surface, light, &training, settings.emitter_ratio, progress)?;
     let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
     if emission.data.iter().all(|e| *e == [0.0; 3]) {
         return Err(Error::invalid(
@@ -131,6 +151,7 @@ pub fn fit(
     let ground = Ground {
         scene,
         atlas: &atlas,
+        adjacency: &adjacency,
         radiance: &tbl.radiance,
         lights: &lights,
         irradiance: &irradiance,

@@ -60,6 +60,8 @@ pub struct FitSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FullSettings {
+    /// Seek the radiance of light sources finer than the pixels that show them.
+    pub resolve_lights: bool,
     /// Light samples of each of a pixel's four points: per lobe of five,
     pub lobe_samples: u32,
     /// cosine-distributed,
@@ -278,6 +280,7 @@ impl Default for FitSettings {
 impl Default for FullSettings {
     fn default() -> Self {
         Self {
+            resolve_lights: true,
             lobe_samples: 6,
             cosine_samples: 2,
             light_samples: 12,

@@ -1,7 +1,7 @@
 //! Albedo as one sparse, robust least-squares problem over all views, for given roughness.
 //!
 //! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's factor and E_p = Σ w_t E_t; both sides are albedos. Its weight is
-//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Neighbours in a
+//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Adjacency in a
 //! segment are drawn together by a Cauchy loss as well, so that edges survive, and every texel weakly to its segment's
 //! mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs (iteratively
 //! re-weighted least squares).
@@ -9,15 +9,13 @@
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::neighbours::{NONE, Neighbours};
 use super::observations::Observations;
 use super::palette::Palettes;
 use crate::diffuse::DiffuseModel;
+use crate::fit::adjacency::{Adjacency, NONE};
+use crate::fit::least_squares::{BLOCK, NormalEquations, conjugate_gradients};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
 use crate::specular_table::node;
-
-/// Items per task of a parallel loop.
-const BLOCK: usize = 4096;
 
 /// The roughness that albedo is sought for.
 pub enum Roughness<'a> {
@@ -34,7 +32,7 @@ pub struct AlbedoProblem<'a> {
     /// Irradiance of each texel.
     pub irradiance: &'a [Vec3A],
     /// Who is beside whom.
-    pub neighbours: &'a Neighbours,
+    pub adjacency: &'a Adjacency,
     /// Segment of each texel, and how many there are.
     pub segment: (&'a [u32], usize),
     /// How diffuse radiance depends on the direction to the camera.
@@ -50,12 +48,12 @@ impl<'a> AlbedoProblem<'a> {
     pub fn new(
         seen: &'a Observations,
         irradiance: &'a [Vec3A],
-        neighbours: &'a Neighbours,
+        adjacency: &'a Adjacency,
         segment: (&'a [u32], usize),
         diffuse: DiffuseModel,
         settings: &'a AlbedoSettings,
     ) -> Self {
-        let mut problem = Self { seen, irradiance, neighbours, segment, diffuse, settings, per_irradiance: Vec::new() };
+        let mut problem = Self { seen, irradiance, adjacency, segment, diffuse, settings, per_irradiance: Vec::new() };
         // A pixel in complete darkness says nothing: its weight vanishes with E.
         let bright = irradiance.iter().map(|e| e.max_element()).fold(0.0, f32::max);
         let floor = Vec3A::splat((1e-6 * bright).max(f32::MIN_POSITIVE));
@@ -175,7 +173,7 @@ impl<'a> AlbedoProblem<'a> {
     fn edge_weights(&self, albedo: &[Vec3A]) -> Vec<[f32; 2]> {
         let AlbedoSettings { smoothness, edge_scale, .. } = *self.settings;
         let segment = self.segment.0;
-        self.neighbours
+        self.adjacency
             .beside
             .par_iter()
             .enumerate()
@@ -219,7 +217,17 @@ impl System<'_> {
             .collect()
     }
 
-    /// A x.
+    /// Adjacency of a texel with their weights.
+    fn links(&self, t: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
+        let [left, right, up, down] = self.problem.adjacency.beside[t];
+        let back = |n: u32, side: usize| if n == NONE { 0.0 } else { self.edges[n as usize][side] };
+        [(left, back(left, 0)), (right, self.edges[t][0]), (up, back(up, 1)), (down, self.edges[t][1])]
+            .into_iter()
+            .filter(|(n, weight)| *n != NONE && *weight > 0.0)
+    }
+}
+
+impl NormalEquations for System<'_> {
     fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
         let p = self.problem;
         let mut out = self.transposed(&p.seen_albedo(x));
@@ -232,7 +240,6 @@ impl System<'_> {
         out
     }
 
-    /// The diagonal of A.
     fn diagonal(&self) -> Vec<Vec3A> {
         let p = self.problem;
         let per = |pixel: u32| p.per_irradiance[pixel as usize] * std::f32::consts::FRAC_1_PI;
@@ -249,48 +256,4 @@ impl System<'_> {
             })
             .collect()
     }
-
-    /// Neighbours of a texel with their weights.
-    fn links(&self, t: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
-        let [left, right, up, down] = self.problem.neighbours.beside[t];
-        let back = |n: u32, side: usize| if n == NONE { 0.0 } else { self.edges[n as usize][side] };
-        [(left, back(left, 0)), (right, self.edges[t][0]), (up, back(up, 1)), (down, self.edges[t][1])]
-            .into_iter()
-            .filter(|(n, weight)| *n != NONE && *weight > 0.0)
-    }
-}
-
-/// Jacobi-preconditioned conjugate gradients, the three channels side by side.
-fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], right: &[Vec3A], iterations: u32) {
-    let inverse: Vec<Vec3A> = system.diagonal().into_par_iter().map(|d| 1.0 / d.max(Vec3A::splat(1e-12))).collect();
-    let mut residual: Vec<Vec3A> = (system.apply(x), right).into_par_iter().map(|(a, r)| *r - a).collect();
-    let mut preconditioned: Vec<Vec3A> = (&residual, &inverse).into_par_iter().map(|(r, m)| *r * *m).collect();
-    let mut direction = preconditioned.clone();
-    let mut rho = dot(&residual, &preconditioned);
-    for _ in 0..iterations {
-        let image = system.apply(&direction);
-        let step = ratio(rho, dot(&direction, &image));
-        (&mut *x, &direction).into_par_iter().for_each(|(x, d)| *x += step * *d);
-        (&mut residual, &image).into_par_iter().for_each(|(r, a)| *r -= step * *a);
-        (&mut preconditioned, &residual, &inverse).into_par_iter().for_each(|(z, r, m)| *z = *r * *m);
-        let next = dot(&residual, &preconditioned);
-        let turn = ratio(next, rho);
-        rho = next;
-        (&mut direction, &preconditioned).into_par_iter().for_each(|(d, z)| *d = *z + turn * *d);
-    }
-}
-
-/// Per channel, summed block by block in a fixed order.
-fn dot(a: &[Vec3A], b: &[Vec3A]) -> [f64; 3] {
-    let partial: Vec<[f64; 3]> = a
-        .par_chunks(BLOCK)
-        .zip(b.par_chunks(BLOCK))
-        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| *a * *b).sum::<Vec3A>().to_array().map(f64::from))
-        .collect();
-    partial.iter().fold([0.0; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c]))
-}
-
-/// a / b per channel; 0 where b is: nothing is left to do there.
-fn ratio(a: [f64; 3], b: [f64; 3]) -> Vec3A {
-    Vec3A::from_array(std::array::from_fn(|c| if b[c] > 0.0 { (a[c] / b[c]) as f32 } else { 0.0 }))
 }

@@ -8,8 +8,8 @@
 
 use rayon::prelude::*;
 
-use super::neighbours::NONE;
 use super::scan::{Evidence, minimum};
+use crate::fit::adjacency::NONE;
 use crate::specular_table::{NODES, node};
 
 /// Cost below which no group counts as explained better: images and models are not that exact.

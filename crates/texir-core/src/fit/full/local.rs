@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use super::hierarchy::{Level, settle};
-use super::neighbours::NONE;
 use super::scan::Evidence;
+use crate::fit::adjacency::NONE;
 use crate::fit::settings::LocalSettings;
 
 /// Where the texels are, and what they belong to.

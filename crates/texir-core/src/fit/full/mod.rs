@@ -5,7 +5,6 @@
 pub mod albedo;
 pub mod hierarchy;
 pub mod local;
-pub mod neighbours;
 pub mod observations;
 pub mod palette;
 pub mod scan;
@@ -14,6 +13,7 @@ pub mod segments;
 use glam::Vec3A;
 use rayon::prelude::*;
 
+use super::adjacency::NONE;
 use super::{Ground, Materials};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
@@ -25,7 +25,6 @@ use crate::fit::settings::{AlbedoSettings, FullSettings};
 use crate::progress::Progress;
 use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
-use neighbours::{NONE, Neighbours};
 use observations::{Observations, Observer};
 use palette::Palettes;
 use segments::Segments;
@@ -50,14 +49,13 @@ pub fn recover(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
-    let Ground { scene, atlas, .. } = *ground;
-    let neighbours = Neighbours::new(&scene.mesh, atlas);
-    let segments = segments::segment(atlas, &neighbours, seen, ground.plan);
+    let Ground { scene, atlas, adjacency, .. } = *ground;
+    let segments = segments::segment(atlas, adjacency, seen, ground.plan);
     let irradiance: Vec<Vec3A> =
         atlas.texels.iter().map(|&t| Vec3A::from(ground.irradiance.data[t as usize])).collect();
     let segment = (&segments.segment[..], segments.count);
     let mut problem =
-        AlbedoProblem::new(seen, &irradiance, &neighbours, segment, DiffuseModel::default(), &settings.albedo);
+        AlbedoProblem::new(seen, &irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
     let Scanned { diffuse, mut albedo, evidence, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
     problem.diffuse = diffuse;

@@ -4,7 +4,7 @@
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::capture::View;
 use crate::error::{Error, Result};
@@ -150,39 +150,5 @@ impl Observer<'_> {
         }
         all.views.push(pixels.len());
         Ok(())
-    }
-}
-
-/// Finds the valid texels around atlas coordinates.
-struct TexelIndex {
-    width: usize,
-    height: usize,
-    /// Per atlas texel: its index in [`Atlas::texels`], or [`TexelIndex::EMPTY`].
-    index: Vec<u32>,
-}
-
-impl TexelIndex {
-    const EMPTY: u32 = u32::MAX;
-
-    fn new(atlas: &Atlas) -> Self {
-        let mut index = vec![Self::EMPTY; atlas.width * atlas.height];
-        for (i, &texel) in atlas.texels.iter().enumerate() {
-            index[texel as usize] = i as u32;
-        }
-        Self { width: atlas.width, height: atlas.height, index }
-    }
-
-    /// Bilinear shares of the valid texels around `uv`; they are not normalised.
-    fn bilinear(&self, uv: glam::Vec2) -> impl Iterator<Item = Tap> + use<'_> {
-        let p = uv * glam::Vec2::new(self.width as f32, self.height as f32) - 0.5;
-        let base = p.floor();
-        let f = p - base;
-        [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter_map(move |(dx, dy)| {
-            let weight = (if dx == 0 { 1.0 - f.x } else { f.x }) * (if dy == 0 { 1.0 - f.y } else { f.y });
-            let x = (base.x as i64 + dx).clamp(0, self.width as i64 - 1) as usize;
-            let y = (base.y as i64 + dy).clamp(0, self.height as i64 - 1) as usize;
-            let texel = self.index[y * self.width + x];
-            (texel != Self::EMPTY && weight > 0.0).then_some(Tap { texel, weight })
-        })
     }
 }

@@ -8,8 +8,8 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
-use super::neighbours::NONE;
 use crate::error::Result;
+use crate::fit::adjacency::NONE;
 use crate::fit::settings::RoughnessSettings;
 use crate::progress::Progress;
 use crate::specular_table::{NODES, nearest_node, node, node_step};
@@ -119,7 +119,7 @@ fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[f32],
 }
 
 /// Roughness of the minimum of a cost curve over the nodes, refined in ln r by a cubic through the best node and its
-/// neighbours: costs rise unevenly, as highlights fade faster than they sharpen.
+/// adjacency: costs rise unevenly, as highlights fade faster than they sharpen.
 pub fn minimum(cost: &[f32; NODES]) -> f32 {
     let k = (0..NODES).min_by(|a, b| cost[*a].total_cmp(&cost[*b])).unwrap_or(0);
     if k == 0 || k == NODES - 1 {

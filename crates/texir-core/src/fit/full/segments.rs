@@ -5,9 +5,9 @@ use std::collections::VecDeque;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::neighbours::{NONE, Neighbours};
 use super::observations::Observations;
 use crate::atlas::Atlas;
+use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
 use crate::texture::Tap;
 
@@ -26,17 +26,17 @@ pub struct Segments {
 /// Labels the texels by the votes of the pixels that see them, each with its share of the texel, so that what one view
 /// mistakes the others correct. Texels that no pixel sees take the label of the nearest one along the surface. Rooms are
 /// the capture's, where it names them, and else the floor plan's.
-pub fn segment(atlas: &Atlas, neighbours: &Neighbours, seen: &Observations, plan: &FloorPlan) -> Segments {
-    let class = spread(vote(seen, |p| Some(seen.class[p]).filter(|&c| c != 0)), neighbours, |_| 0);
+pub fn segment(atlas: &Atlas, adjacency: &Adjacency, seen: &Observations, plan: &FloorPlan) -> Segments {
+    let class = spread(vote(seen, |p| Some(seen.class[p]).filter(|&c| c != 0)), adjacency, |_| 0);
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
     let room = if seen.room.iter().any(|&r| r != 0) {
-        spread(vote(seen, |p| Some(seen.room[p]).filter(|&r| r != 0)), neighbours, |i| planned[i])
+        spread(vote(seen, |p| Some(seen.room[p]).filter(|&r| r != 0)), adjacency, |i| planned[i])
     } else {
         planned
     };
     let in_room: Vec<(u16, u16)> = class.iter().copied().zip(room).collect();
-    let (segment, count) = connected(&in_room, neighbours);
+    let (segment, count) = connected(&in_room, adjacency);
     let mut pairs: Vec<(u16, u16)> = in_room.clone();
     pairs.sort_unstable();
     pairs.dedup();
@@ -63,18 +63,13 @@ pub(super) fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + S
 }
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.
-pub(super) fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise: impl Fn(usize) -> u16) -> Vec<u16> {
-    let mut across: Vec<Vec<u32>> = vec![Vec::new(); known.len()];
-    for &[a, b] in &neighbours.seams {
-        across[a as usize].push(b);
-        across[b as usize].push(a);
-    }
+pub(super) fn spread(known: Vec<Option<u16>>, adjacency: &Adjacency, otherwise: impl Fn(usize) -> u16) -> Vec<u16> {
     let mut labels = known;
     let mut queue: VecDeque<u32> = (0..labels.len() as u32).filter(|&i| labels[i as usize].is_some()).collect();
     while let Some(i) = queue.pop_front() {
         let label = labels[i as usize];
-        for &n in neighbours.beside[i as usize].iter().chain(&across[i as usize]) {
-            if n != NONE && labels[n as usize].is_none() {
+        for n in adjacency.around(i) {
+            if labels[n as usize].is_none() {
                 labels[n as usize] = label;
                 queue.push_back(n);
             }
@@ -84,7 +79,7 @@ pub(super) fn spread(known: Vec<Option<u16>>, neighbours: &Neighbours, otherwise
 }
 
 /// Numbers the connected regions of equal labels.
-pub(super) fn connected<T: PartialEq>(labels: &[T], neighbours: &Neighbours) -> (Vec<u32>, usize) {
+pub(super) fn connected<T: PartialEq>(labels: &[T], adjacency: &Adjacency) -> (Vec<u32>, usize) {
     let mut parent: Vec<u32> = (0..labels.len() as u32).collect();
     let mut join = |a: u32, b: u32| {
         if labels[a as usize] == labels[b as usize] {
@@ -93,10 +88,9 @@ pub(super) fn connected<T: PartialEq>(labels: &[T], neighbours: &Neighbours) -> 
             parent[a.max(b) as usize] = a.min(b);
         }
     };
-    for (i, beside) in neighbours.beside.iter().enumerate() {
-        beside.iter().filter(|&&n| n != NONE).for_each(|&n| join(i as u32, n));
+    for i in 0..labels.len() as u32 {
+        adjacency.around(i).for_each(|n| join(i, n));
     }
-    neighbours.seams.iter().for_each(|&[a, b]| join(a, b));
     let mut numbers = vec![NONE; labels.len()];
     let mut count = 0;
     let regions = (0..labels.len() as u32)

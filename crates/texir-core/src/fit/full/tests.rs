@@ -4,13 +4,13 @@ use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Level, settle};
-use super::neighbours::{NONE, Neighbours};
 use super::observations::Observations;
 use super::scan::{minimum, scan};
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::cpu::CpuBackend;
 use crate::diffuse::DiffuseModel;
+use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{AlbedoSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
@@ -55,7 +55,7 @@ fn room() -> (Scene, Rgb) {
 struct Toy {
     seen: Observations,
     irradiance: Vec<Vec3A>,
-    neighbours: Neighbours,
+    adjacency: Adjacency,
     segment: Vec<u32>,
 }
 
@@ -105,14 +105,14 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
     let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, seed: 5 };
     seen.curves = backend.specular_tables(&strata, sampling, &Silent).unwrap();
     seen.columns = seen.rows.transposed(atlas.texels.len());
-    let neighbours = Neighbours::new(&scene.mesh, &atlas);
-    Toy { seen, irradiance, neighbours, segment: on_floor.iter().map(|&f| u32::from(!f)).collect() }
+    let adjacency = Adjacency::new(&scene.mesh, &atlas);
+    Toy { seen, irradiance, adjacency, segment: on_floor.iter().map(|&f| u32::from(!f)).collect() }
 }
 
 impl Toy {
     fn problem<'a>(&'a self, settings: &'a AlbedoSettings) -> AlbedoProblem<'a> {
         let segment = (&self.segment[..], 2);
-        AlbedoProblem::new(&self.seen, &self.irradiance, &self.neighbours, segment, DiffuseModel::Lambert, settings)
+        AlbedoProblem::new(&self.seen, &self.irradiance, &self.adjacency, segment, DiffuseModel::Lambert, settings)
     }
 }
 
@@ -210,11 +210,11 @@ fn the_minimum_of_a_parabola_is_found_between_nodes() {
 }
 
 /// A strip of texels, each beside the next.
-fn strip(count: u32) -> Neighbours {
+fn strip(count: u32) -> Adjacency {
     let beside = (0..count)
         .map(|i| [if i > 0 { i - 1 } else { NONE }, if i + 1 < count { i + 1 } else { NONE }, NONE, NONE])
         .collect();
-    Neighbours { beside, seams: vec![] }
+    Adjacency { beside, seams: vec![] }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use glam::{IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, TexelIndex};
 use crate::mesh::Mesh;
 
 /// No neighbour on that side.
@@ -17,24 +17,17 @@ const REACH: f32 = 3.0;
 const WELD: f32 = 1e-5;
 
 /// Neighbours of the valid texels, by index into [`Atlas::texels`].
-pub struct Neighbours {
+pub struct Adjacency {
     /// Left, right, up and down in the chart, or [`NONE`].
     pub beside: Vec<[u32; 4]>,
-    /// Pairs across the seams between charts.
+    /// Pairs across the seams between charts, from both sides, ascending.
     pub seams: Vec<[u32; 2]>,
 }
 
-impl Neighbours {
+impl Adjacency {
     /// The neighbours in an atlas.
     pub fn new(mesh: &Mesh, atlas: &Atlas) -> Self {
-        let mut index = vec![NONE; atlas.width * atlas.height];
-        for (i, &texel) in atlas.texels.iter().enumerate() {
-            index[texel as usize] = i as u32;
-        }
-        let at = |x: i64, y: i64| {
-            let inside = x >= 0 && y >= 0 && x < atlas.width as i64 && y < atlas.height as i64;
-            if inside { index[y as usize * atlas.width + x as usize] } else { NONE }
-        };
+        let index = TexelIndex::new(atlas);
         let position = |i: u32| Vec3::from(atlas.points[i as usize].position);
         let beside = atlas
             .texels
@@ -44,22 +37,27 @@ impl Neighbours {
                 let (x, y) = ((texel as usize % atlas.width) as i64, (texel as usize / atlas.width) as i64);
                 let reach = REACH * atlas.texel_area(mesh, atlas.points[i].triangle).sqrt();
                 [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| {
-                    let n = at(x + dx, y + dy);
-                    let near = n != NONE && {
+                    let near = |&n: &u32| {
                         let other = REACH * atlas.texel_area(mesh, atlas.points[n as usize].triangle).sqrt();
                         position(i as u32).distance(position(n)) < reach.max(other)
                     };
-                    if near { n } else { NONE }
+                    index.at(x + dx, y + dy).filter(near).unwrap_or(NONE)
                 })
             })
             .collect();
-        let nearest = |uv: Vec2| at((uv.x * atlas.width as f32) as i64, (uv.y * atlas.height as f32) as i64);
-        Self { beside, seams: seams(mesh, atlas, nearest) }
+        Self { beside, seams: seams(mesh, atlas, &index) }
+    }
+
+    /// All neighbours of a texel: beside it, and across seams.
+    pub fn around(&self, texel: u32) -> impl Iterator<Item = u32> + '_ {
+        let first = self.seams.partition_point(|pair| pair[0] < texel);
+        let across = self.seams[first..].iter().take_while(move |pair| pair[0] == texel).map(|pair| pair[1]);
+        self.beside[texel as usize].into_iter().filter(|&n| n != NONE).chain(across)
     }
 }
 
 /// Texels on the two sides of every mesh edge whose faces lie in different charts.
-fn seams(mesh: &Mesh, atlas: &Atlas, texel: impl Fn(Vec2) -> u32) -> Vec<[u32; 2]> {
+fn seams(mesh: &Mesh, atlas: &Atlas, index: &TexelIndex) -> Vec<[u32; 2]> {
     let (low, high) = mesh.bounds();
     let grid = (high - low).max_element().max(f32::MIN_POSITIVE) * WELD;
     let weld = |p: Vec3| ((p - low) / grid).round().as_ivec3();
@@ -86,9 +84,11 @@ fn seams(mesh: &Mesh, atlas: &Atlas, texel: impl Fn(Vec2) -> u32) -> Vec<[u32; 2
                     let steps = ((edge[1] - edge[0]) * size).length().ceil().clamp(1.0, 4096.0) as usize;
                     for s in 0..=steps {
                         let t = s as f32 / steps as f32;
-                        let pair = [texel(other[0].lerp(other[1], t)), texel(edge[0].lerp(edge[1], t))];
-                        if pair[0] != pair[1] && !pair.contains(&NONE) {
-                            pairs.push(pair);
+                        let pair = [&other, &edge].map(|side| index.nearest(side[0].lerp(side[1], t)));
+                        if let [Some(a), Some(b)] = pair
+                            && a != b
+                        {
+                            pairs.extend([[a, b], [b, a]]);
                         }
                     }
                 }
