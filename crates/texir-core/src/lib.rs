@@ -8,6 +8,7 @@ pub mod bake;
 pub mod brdf;
 pub mod camera;
 pub mod capture;
+pub mod checkpoint;
 pub mod cpu;
 pub mod demo;
 pub mod denoise;

@@ -180,6 +180,13 @@ impl Staging {
         self.folder.path()
     }
 
+    /// The folder beside the target where steps towards it are kept.
+    pub fn partial(&self) -> PathBuf {
+        let mut name = self.target.file_name().unwrap_or("texir".as_ref()).to_owned();
+        name.push(".partial");
+        self.target.with_file_name(name)
+    }
+
     /// Moves the files to the target. Files of the layout that an earlier run left there and this one did not make are
     /// removed: they describe another result.
     pub fn commit(self) -> Result<()> {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::Capture;
+use texir_core::checkpoint::Checkpoints;
 use texir_core::fit::{self, EpochLog, FitResult};
 use texir_core::glb::{Materials, Up, write_glb};
 use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
@@ -76,10 +77,14 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let scene = Scene::new(capture.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
     let mut log: Vec<EpochLog> = Vec::new();
+    let fitting = &session.config.fit;
+    let partial = staging.partial();
+    let checkpoints = Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?)?;
     let FitResult { textures, confidence, tbl, plan, timings } =
-        fit::fit(backend.as_mut(), &scene, capture, &session.config.fit, session.console, &mut |epoch| {
+        fit::fit(backend.as_mut(), &scene, capture, fitting, &checkpoints, session.console, &mut |epoch| {
             log.push(*epoch)
-        })?;
+        })
+        .inspect_err(|_| session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display())))?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),
@@ -105,6 +110,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     })?;
     write_atomic(folder.join(RUN), |sink| serde_json::to_writer_pretty(sink, &run))?;
     staging.commit()?;
+    checkpoints.finish();
     Ok(output)
 }
 

@@ -23,8 +23,11 @@ pub fn specular_table<R: Real, T: Trace<R>>(
     let seed = hash2(sampling.seed, strata[0].sequence);
     let sampling = TableSampling { light: if lights.slots.is_empty() { 0 } else { sampling.light }, ..sampling };
     let mut sums = [V3::zero(); NODES];
+    let nodes: [R; NODES] = std::array::from_fn(|k| R::of(f64::from(node(k))));
     for (stratum, point) in strata.iter().enumerate() {
-        let drawn = Drawn { lighting, lights, point, sampling };
+        let nv = V3::<R>::of(point.normal).dot(V3::of(point.view)).max(R::of(0.0)).min(R::of(1.0));
+        let seen = nodes.map(|r| masking(nv, r) * R::of(0.25));
+        let drawn = Drawn { lighting, lights, point, sampling, nodes: &nodes, seen: &seen };
         let sequence = |technique: usize, samples: u32| {
             let first = stratum as u32 * samples;
             (first..first + samples).map(move |i| (i, hash2(seed, technique as u32)))
@@ -50,16 +53,20 @@ pub fn specular_table<R: Real, T: Trace<R>>(
 }
 
 /// One stratum's point and what directions are weighed with.
-struct Drawn<'a, T> {
+struct Drawn<'a, R, T> {
     lighting: &'a Lighting<'a, T>,
     lights: &'a Lights,
     point: &'a ShadePoint,
     sampling: TableSampling,
+    /// Roughness of every node.
+    nodes: &'a [R; NODES],
+    /// g(nv)/4 at every node.
+    seen: &'a [R; NODES],
 }
 
-impl<T> Drawn<'_, T> {
+impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
     /// The view reflected about a half-vector of the GGX lobe of roughness `r`.
-    fn lobe_direction<R: Real>(&self, r: f32, [u, v]: [f32; 2]) -> V3<R> {
+    fn lobe_direction(&self, r: f32, [u, v]: [f32; 2]) -> V3<R> {
         let (normal, view) = (V3::of(self.point.normal), V3::<R>::of(self.point.view));
         let (tangent, bitangent) = basis(normal);
         let phi = R::of(std::f64::consts::TAU * f64::from(v));
@@ -70,10 +77,7 @@ impl<T> Drawn<'_, T> {
     }
 
     /// Traces a direction and adds it to every node. A light sample counts only where it reaches its own triangle.
-    fn add<R: Real>(&self, direction: V3<R>, aimed_at: Option<u32>, sums: &mut [V3<R>; NODES])
-    where
-        T: Trace<R>,
-    {
+    fn add(&self, direction: V3<R>, aimed_at: Option<u32>, sums: &mut [V3<R>; NODES]) {
         let (zero, one) = (R::of(0.0), R::of(1.0));
         let (normal, view) = (V3::of(self.point.normal), V3::of(self.point.view));
         let (nl, nv) = (normal.dot(direction), normal.dot(view));
@@ -84,7 +88,6 @@ impl<T> Drawn<'_, T> {
         let across = normal.cross(half);
         let lobe = Lobe {
             nl: nl.min(one),
-            nv: nv.min(one),
             nh: normal.dot(half).max(zero).min(one),
             vh: view.dot(half).max(R::of(1e-6)).min(one),
             sin2: across.dot(across),
@@ -96,16 +99,14 @@ impl<T> Drawn<'_, T> {
         let fresnel = fresnel_weight(lobe.vh);
         let fresnel = R::of(DIELECTRIC_F0) * (one - fresnel) + fresnel;
         let light = self.lighting.radiance_at(&hit) * (lobe.nl * fresnel / self.density(&lobe, &hit, direction));
-        for (k, sum) in sums.iter_mut().enumerate() {
-            *sum = *sum + light * lobe.specular_over_fresnel(R::of(f64::from(node(k))));
+        // f_s / F = D g(nl) g(nv) / 4.
+        for ((sum, &r), &seen) in sums.iter_mut().zip(self.nodes).zip(self.seen) {
+            *sum = *sum + light * (distribution_at(lobe.sin2, r) * masking(lobe.nl, r) * seen);
         }
     }
 
     /// Σ_j n_j p_j: how densely all techniques together draw a direction, per solid angle.
-    fn density<R: Real>(&self, lobe: &Lobe<R>, hit: &TraceHit<R>, direction: V3<R>) -> R
-    where
-        T: Trace<R>,
-    {
+    fn density(&self, lobe: &Lobe<R>, hit: &TraceHit<R>, direction: V3<R>) -> R {
         let n = |samples: u32| R::of(f64::from(samples));
         let lobes = LOBES.iter().map(|&r| lobe.pdf(R::of(f64::from(r)))).fold(R::of(0.0), |sum, p| sum + p);
         n(self.sampling.lobe) * lobes
@@ -117,18 +118,12 @@ impl<T> Drawn<'_, T> {
 /// A pair of directions as the lobes see it: cosines, and sin²θ_h.
 struct Lobe<R> {
     nl: R,
-    nv: R,
     nh: R,
     vh: R,
     sin2: R,
 }
 
 impl<R: Real> Lobe<R> {
-    /// f_s / F = D g(nl) g(nv) / 4.
-    fn specular_over_fresnel(&self, r: R) -> R {
-        distribution_at(self.sin2, r) * masking(self.nl, r) * masking(self.nv, r) * R::of(0.25)
-    }
-
     /// Density of the direction under half-vector sampling: D nh / (4 vh).
     fn pdf(&self, r: R) -> R {
         distribution_at(self.sin2, r) * self.nh / (R::of(4.0) * self.vh)

@@ -17,6 +17,16 @@ impl Adam {
         Self { settings: settings.clone(), moments: vec![[0.0; 2]; parameters], steps: 0 }
     }
 
+    /// Goes on after `steps` steps with the moments they left.
+    pub fn resume(settings: &OptimiserSettings, moments: Vec<[f32; 2]>, steps: u32) -> Self {
+        Self { settings: settings.clone(), moments, steps: steps as i32 }
+    }
+
+    /// First and second moment of each parameter, and the number of steps taken.
+    pub fn state(&self) -> (&[[f32; 2]], u32) {
+        (&self.moments, self.steps as u32)
+    }
+
     /// One step of size `learning_rate` against `gradient`, then the clamp to `range`.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32, range: [f32; 2]) {
         self.steps += 1;

@@ -13,6 +13,7 @@ mod lit_square;
 pub mod paper;
 pub mod settings;
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::time::Instant;
 
 use adjacency::Adjacency;
@@ -22,6 +23,7 @@ use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake;
 use crate::capture::{Capture, Split, Tbl, View};
+use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
@@ -59,6 +61,8 @@ pub struct Ground<'a> {
     pub plan: &'a FloorPlan,
     /// Seed of the run.
     pub seed: u32,
+    /// Steps that were done before.
+    pub checkpoints: &'a Checkpoints,
 }
 
 /// What a mode yields, in the atlas.
@@ -90,12 +94,14 @@ pub struct FitResult {
     pub timings: Vec<(String, f64)>,
 }
 
-/// Fits a capture. The backend is the scene's; `log` receives one entry per epoch.
+/// Fits a capture. The backend is the scene's; `log` receives one entry per epoch. With `checkpoints` of the same
+/// [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
 pub fn fit(
     backend: &mut dyn Backend,
     scene: &Scene,
     capture: &Capture,
     settings: &FitSettings,
+    checkpoints: &Checkpoints,
     progress: &dyn Progress,
     log: &mut dyn FnMut(&EpochLog),
 ) -> Result<FitResult> {
@@ -118,12 +124,14 @@ pub fn fit(
     let atlas = Atlas::new(backend, scene, size.0, size.1)?;
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     let surface = (&atlas, &adjacency);
-    let mut shine = |backend: &mut dyn Backend, radiance: &Rgb, samples: u32| -> Result<(Lights, Rgb)> {
+    let shine = |backend: &mut dyn Backend, radiance: &Rgb, samples: u32| -> Result<(Lights, Rgb)> {
         let lights = Lights::find(&scene.mesh, &atlas, radiance);
         backend.set_tbl(radiance, &lights)?;
         let gather = Gather { cosine: samples - samples / 2, light: samples / 2, seed: settings.seed };
-        let baked = bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?;
-        Ok((lights, baked.map(&atlas, bake::Buried::Fill)))
+        let irradiance = checkpoints.array(&format!("irradiance-{samples}"), || {
+            Ok(bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill).data)
+        })?;
+        Ok((lights, Raster::new(atlas.width, atlas.height, irradiance)?))
     };
     if settings.mode == Mode::Full && settings.full.resolve_lights {
         let (_, irradiance) = shine(backend, &tbl.radiance, ROUGH_SAMPLES.min(settings.irradiance_samples))?;
@@ -159,6 +167,7 @@ pub fn fit(
         emission: &emission,
         plan: &plan,
         seed: settings.seed,
+        checkpoints,
     };
     let materials = match settings.mode {
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
@@ -169,6 +178,29 @@ pub fn fit(
     timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
+}
+
+/// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by their
+/// size and the time they were written.
+pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend) -> Result<String> {
+    let mut hasher = DefaultHasher::new();
+    bytemuck::cast_slice::<_, u8>(&capture.mesh.positions).hash(&mut hasher);
+    bytemuck::cast_slice::<_, u8>(&capture.mesh.uvs).hash(&mut hasher);
+    capture.mesh.triangles.hash(&mut hasher);
+    if let Some(tbl) = &capture.tbl {
+        bytemuck::cast_slice::<_, u8>(&tbl.radiance.data).hash(&mut hasher);
+    }
+    for view in &capture.views {
+        format!("{view:?}").hash(&mut hasher);
+        for file in [Some(&view.image), view.semantic.as_ref(), view.mask.as_ref(), view.room.as_ref()] {
+            let Some(file) = file else { continue };
+            let known = file.metadata().map_err(|e| Error::file(file, format!("cannot be read: {e}")))?;
+            known.len().hash(&mut hasher);
+            known.modified().ok().hash(&mut hasher);
+        }
+    }
+    let (version, name, captured) = (env!("CARGO_PKG_VERSION"), backend.name(), hasher.finish());
+    Ok(format!("texir {version}\n{name}\ncapture {captured:016x}\n{settings:?}\n"))
 }
 
 fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {

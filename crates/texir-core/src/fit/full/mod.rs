@@ -37,8 +37,8 @@ pub fn fit(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
-    let Ground { scene, atlas, emitters, seed, .. } = *ground;
-    let seen = Observer { scene, atlas, emitters, settings, seed }.observe(backend, training, progress)?;
+    let Ground { scene, atlas, emitters, seed, checkpoints, .. } = *ground;
+    let seen = Observer { scene, atlas, emitters, settings, seed, checkpoints }.observe(backend, training, progress)?;
     recover(ground, &seen, settings, progress)
 }
 

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::capture::View;
+use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
@@ -66,6 +67,8 @@ pub struct Observer<'a> {
     pub settings: &'a FullSettings,
     /// Seed of the run.
     pub seed: u32,
+    /// Views that were observed before.
+    pub checkpoints: &'a Checkpoints,
 }
 
 impl Observer<'_> {
@@ -136,9 +139,14 @@ impl Observer<'_> {
                 })
             })
             .collect();
-        let sampling = self.settings.sampling(self.seed, all.views.len() as u32);
-        all.curves.extend(backend.specular_tables(&strata, sampling, progress)?);
-        progress.advance((view.camera.pixels() - pixels.len()) as u64 * u64::from(sampling.rays()));
+        let number = all.views.len() as u32;
+        let sampling = self.settings.sampling(self.seed, number);
+        let mut skipped = view.camera.pixels();
+        all.curves.extend(self.checkpoints.array(&format!("view-{number}"), || {
+            skipped -= pixels.len();
+            backend.specular_tables(&strata, sampling, progress)
+        })?);
+        progress.advance(skipped as u64 * u64::from(sampling.rays()));
         all.cosine.extend(strata.iter().map(|s| s.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32));
         let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
         for (pixel, taps) in &pixels {

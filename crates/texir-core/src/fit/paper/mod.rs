@@ -42,8 +42,17 @@ pub fn fit(
         albedo: vec![settings.parameters.albedo_start; 3 * texels],
         roughness: vec![settings.parameters.roughness_start; texels],
     };
-    Optimisation { backend, pyramid: &pyramid, views: &views, settings, progress, log, started: Instant::now() }
-        .run(&mut textures)?;
+    Optimisation {
+        backend,
+        pyramid: &pyramid,
+        views: &views,
+        settings,
+        progress,
+        log,
+        started: Instant::now(),
+        checkpoints: ground.checkpoints,
+    }
+    .run(&mut textures)?;
     let (albedo, roughness) = complete(backend, scene, atlas, &pyramid, &views, &textures)?;
     Ok(Materials {
         albedo,

@@ -3,9 +3,10 @@
 
 use super::views::FitView;
 use crate::backend::{Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Sampling, ShadePoint};
-use crate::error::Result;
+use crate::checkpoint::{Array, Checkpoints, Step};
+use crate::error::{Error, Result};
 use crate::fit::adam::Adam;
-use crate::fit::settings::FitSettings;
+use crate::fit::settings::{FitSettings, OptimiserSettings};
 use crate::progress::{Progress, Silent};
 use crate::rng::hash2;
 use crate::texture::Pyramid;
@@ -51,7 +52,7 @@ pub struct EpochLog {
 
 /// What one step found: its losses and the gradients with respect to the texels it moves.
 #[derive(Default)]
-struct Step {
+struct Found {
     image: f32,
     smooth: f32,
     d_albedo: Option<Vec<f32>>,
@@ -74,6 +75,8 @@ pub struct Optimisation<'a> {
     pub log: &'a mut dyn FnMut(&EpochLog),
     /// When the fit began.
     pub started: std::time::Instant,
+    /// Epochs that were done before.
+    pub checkpoints: &'a Checkpoints,
 }
 
 impl<'a> Optimisation<'a> {
@@ -95,7 +98,7 @@ impl<'a> Optimisation<'a> {
     }
 
     /// Stage I, albedo: mean|T(aE/π) − T(I)| + β_ssa mean|a − mean_class(a)|.
-    fn stage_one(&mut self, view: usize, textures: &Textures, _seed: u32) -> Result<Step> {
+    fn stage_one(&mut self, view: usize, textures: &Textures, _seed: u32) -> Result<Found> {
         let view = self.view(view);
         let albedo = self.lookup(&textures.albedo, 3, view)?;
         let diffuse = |p: &ShadePoint| p.irradiance.map(|e| e * std::f32::consts::FRAC_1_PI);
@@ -111,12 +114,12 @@ impl<'a> Optimisation<'a> {
             &mut d_albedo,
         )?;
         let d_albedo = Some(self.lookup_vjp(&d_albedo, 3, view)?);
-        Ok(Step { image: image.value, smooth, d_albedo, d_roughness: None })
+        Ok(Found { image: image.value, smooth, d_albedo, d_roughness: None })
     }
 
     /// Stage II, roughness with the albedo frozen: mean over highlight pixels of |T(L_o) − T(I)|
     /// + β_sp mean|r − Q_q(r at highlights of the class)| over the rest.
-    fn stage_two(&mut self, view: usize, albedo: &[[f32; 3]], textures: &Textures, seed: u32) -> Result<Step> {
+    fn stage_two(&mut self, view: usize, albedo: &[[f32; 3]], textures: &Textures, seed: u32) -> Result<Found> {
         let view = self.view(view);
         let roughness = self.lookup(&textures.roughness, 1, view)?;
         let mut d_roughness = vec![0.0; roughness.len()];
@@ -141,11 +144,11 @@ impl<'a> Optimisation<'a> {
             &mut d_roughness,
         )?;
         let d_roughness = Some(self.lookup_vjp(&d_roughness, 1, view)?);
-        Ok(Step { image, smooth, d_albedo: None, d_roughness })
+        Ok(Found { image, smooth, d_albedo: None, d_roughness })
     }
 
     /// Stage III, albedo and roughness: mean|T(L_o) − T(I)| + β_ssr mean|r − mean_(class ∧ room)(r)|.
-    fn stage_three(&mut self, view: usize, textures: &Textures, seed: u32) -> Result<Step> {
+    fn stage_three(&mut self, view: usize, textures: &Textures, seed: u32) -> Result<Found> {
         let view = self.view(view);
         let albedo = self.lookup(&textures.albedo, 3, view)?;
         let roughness = self.lookup(&textures.roughness, 1, view)?;
@@ -160,7 +163,7 @@ impl<'a> Optimisation<'a> {
             self.settings.stage_three.smoothness_weight,
             &mut d_roughness,
         )?;
-        Ok(Step {
+        Ok(Found {
             image: loss.value,
             smooth,
             d_albedo: Some(self.lookup_vjp(&d_albedo, 3, view)?),
@@ -210,20 +213,30 @@ impl<'a> Optimisation<'a> {
             .collect()
     }
 
-    /// Epochs over the views in a new order each, one Adam step per view; the optimiser starts afresh.
+    /// Epochs over the views in a new order each, one Adam step per view; the optimiser starts afresh, or where an earlier
+    /// run was stopped.
     fn epochs(
         &mut self,
         stage: Stage,
         textures: &mut Textures,
-        mut step: impl FnMut(&mut Self, usize, &Textures, u32) -> Result<Step>,
+        mut step: impl FnMut(&mut Self, usize, &Textures, u32) -> Result<Found>,
     ) -> Result<()> {
         let optimiser = &self.settings.optimiser;
         let ranges = &self.settings.parameters;
-        let mut albedo = Adam::new(optimiser, textures.albedo.len());
-        let mut roughness = Adam::new(optimiser, textures.roughness.len());
+        let name = format!("stage-{stage:?}");
+        let Epochs { mut albedo, mut roughness, mut done } =
+            self.checkpoints.find(&name).and_then(|kept| Epochs::resume(&kept, textures, optimiser)).unwrap_or_else(
+                || {
+                    let [albedo, roughness] =
+                        [&textures.albedo, &textures.roughness].map(|t| Adam::new(optimiser, t.len()));
+                    Epochs { albedo, roughness, done: Vec::new() }
+                },
+            );
         let views = self.views.len() as u32;
         self.progress.start(&format!("stage {stage:?}"), u64::from(optimiser.epochs) * u64::from(views), "steps");
-        for epoch in 0..optimiser.epochs {
+        self.progress.advance(done.len() as u64 * u64::from(views));
+        done.iter().for_each(|epoch| (self.log)(epoch));
+        for epoch in done.len() as u32..optimiser.epochs {
             let learning_rate = optimiser.learning_rate * optimiser.decay.powi((epoch / optimiser.decay_epochs) as i32);
             let epoch_seed = hash2(hash2(self.settings.seed, stage as u32), epoch);
             let mut order: Vec<u32> = (0..views).collect();
@@ -243,7 +256,12 @@ impl<'a> Optimisation<'a> {
                 self.progress.advance(1);
             }
             let seconds = self.started.elapsed().as_secs_f64();
-            (self.log)(&EpochLog { stage, epoch, learning_rate, loss: image + smooth, image, smooth, seconds });
+            let log = EpochLog { stage, epoch, learning_rate, loss: image + smooth, image, smooth, seconds };
+            (self.log)(&log);
+            done.push(log);
+            let state = Epochs { albedo, roughness, done };
+            state.keep(self.checkpoints, &name, textures)?;
+            Epochs { albedo, roughness, done } = state;
         }
         self.progress.finish();
         Ok(())
@@ -259,6 +277,51 @@ impl<'a> Optimisation<'a> {
 
     fn lookup_vjp(&mut self, d_values: &[f32], channels: usize, view: &FitView) -> Result<Vec<f32>> {
         self.backend.lookup_vjp(self.pyramid, d_values, channels, &view.footprints)
+    }
+}
+
+/// How far a stage has come, apart from the textures.
+struct Epochs {
+    albedo: Adam,
+    roughness: Adam,
+    done: Vec<EpochLog>,
+}
+
+impl Epochs {
+    fn keep(&self, checkpoints: &Checkpoints, step: &str, textures: &Textures) -> Result<()> {
+        let (albedo_moments, albedo_steps) = self.albedo.state();
+        let (roughness_moments, roughness_steps) = self.roughness.state();
+        let log =
+            serde_json::to_vec(&self.done).map_err(|e| Error::invalid(format!("the log has no JSON form: {e}")))?;
+        let steps = [albedo_steps, roughness_steps];
+        let arrays = [
+            ("albedo", Array::from(&textures.albedo[..])),
+            ("albedo_moments", albedo_moments.into()),
+            ("roughness", Array::from(&textures.roughness[..])),
+            ("roughness_moments", roughness_moments.into()),
+            ("steps", Array::from(&steps[..])),
+            ("log", Array::from(&log[..])),
+        ];
+        checkpoints.keep(step, &arrays)
+    }
+
+    /// What was kept; the textures become what they were. `None` if it does not fit them.
+    fn resume(kept: &Step, textures: &mut Textures, optimiser: &OptimiserSettings) -> Option<Self> {
+        let done: Vec<EpochLog> = serde_json::from_slice(&kept.array::<u8>("log")?).ok()?;
+        let &[albedo_steps, roughness_steps] = &kept.array::<u32>("steps")?[..] else { return None };
+        let (albedo, roughness) = (kept.array::<f32>("albedo")?, kept.array::<f32>("roughness")?);
+        let (albedo_moments, roughness_moments) = (kept.array("albedo_moments")?, kept.array("roughness_moments")?);
+        let fits = [albedo.len(), albedo_moments.len()] == [textures.albedo.len(); 2]
+            && [roughness.len(), roughness_moments.len()] == [textures.roughness.len(); 2];
+        if !fits {
+            return None;
+        }
+        *textures = Textures { albedo, roughness };
+        Some(Self {
+            albedo: Adam::resume(optimiser, albedo_moments, albedo_steps),
+            roughness: Adam::resume(optimiser, roughness_moments, roughness_steps),
+            done,
+        })
     }
 }
 

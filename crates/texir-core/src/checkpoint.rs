@@ -1,0 +1,182 @@
+//! Steps of a long computation that are kept until all of it is done, so that one that was stopped goes on where it was.
+//!
+//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use bytemuck::Pod;
+use half::f16;
+use safetensors::tensor::{Dtype, TensorView};
+use safetensors::{SafeTensors, serialize};
+
+use crate::atomic_file::write_atomic;
+use crate::error::{Error, Result};
+use crate::specular_table::Curve;
+
+/// Names the computation that the steps in a folder belong to.
+const IDENTITY: &str = "identity.txt";
+/// Ending of a step's file.
+const ENDING: &str = "safetensors";
+
+/// The steps that were done, or none that are kept.
+#[derive(Debug)]
+pub struct Checkpoints {
+    folder: Option<PathBuf>,
+}
+
+/// What arrays hold.
+pub trait Element: Pod {
+    /// The scalar of an element, of which it has one or more.
+    const SCALAR: Dtype;
+}
+
+macro_rules! element {
+    ($($type:ty: $scalar:ident),*) => { $(impl Element for $type { const SCALAR: Dtype = Dtype::$scalar; })* };
+}
+element!(f32: F32, [f32; 2]: F32, [f32; 3]: F32, f16: F16, Curve: F16, u32: U32, u8: U8);
+
+/// An array on its way to a file.
+pub struct Array<'a> {
+    scalar: Dtype,
+    shape: Vec<usize>,
+    bytes: &'a [u8],
+}
+
+impl<'a, T: Element> From<&'a [T]> for Array<'a> {
+    fn from(values: &'a [T]) -> Self {
+        let scalars = 8 * size_of::<T>() / T::SCALAR.bitsize();
+        Self { scalar: T::SCALAR, shape: vec![values.len(), scalars], bytes: bytemuck::cast_slice(values) }
+    }
+}
+
+/// The arrays of a step, as they were kept.
+pub struct Step(Vec<u8>);
+
+impl Step {
+    /// The array `name`; `None` where it is missing or of another type.
+    pub fn array<T: Element>(&self, name: &str) -> Option<Vec<T>> {
+        let arrays = SafeTensors::deserialize(&self.0).ok()?;
+        let array = arrays.tensor(name).ok()?;
+        let whole = array.data().len() % size_of::<T>() == 0;
+        (array.dtype() == T::SCALAR && whole).then(|| bytemuck::pod_collect_to_vec(array.data()))
+    }
+}
+
+impl Checkpoints {
+    /// Keeps nothing.
+    pub fn none() -> Self {
+        Self { folder: None }
+    }
+
+    /// Keeps steps in `folder`, and finds those that an earlier run left there; steps of a computation of another
+    /// `identity` are removed.
+    pub fn open(folder: &Path, identity: &str) -> Result<Self> {
+        let failed = |e| Error::file(folder, format!("cannot be used to keep steps in: {e}"));
+        let known = fs::read_to_string(folder.join(IDENTITY)).unwrap_or_default();
+        let checkpoints = Self { folder: Some(folder.to_owned()) };
+        if known != identity {
+            checkpoints.clear().map_err(failed)?;
+            write_atomic(folder.join(IDENTITY), |sink| std::io::Write::write_all(sink, identity.as_bytes()))?;
+        }
+        Ok(checkpoints)
+    }
+
+    /// A step that was done.
+    pub fn find(&self, step: &str) -> Option<Step> {
+        fs::read(self.file(step)?).ok().map(Step)
+    }
+
+    /// Keeps a step, in place of what is known of it.
+    pub fn keep(&self, step: &str, arrays: &[(&str, Array<'_>)]) -> Result<()> {
+        let Some(file) = self.file(step) else { return Ok(()) };
+        let failed = |e| Error::file(&file, format!("cannot be written: {e}"));
+        let mut views = BTreeMap::new();
+        for (name, array) in arrays {
+            let view = TensorView::new(array.scalar, array.shape.clone(), array.bytes);
+            views.insert(*name, view.map_err(failed)?);
+        }
+        let bytes = serialize(views, None).map_err(failed)?;
+        write_atomic(&file, |sink| std::io::Write::write_all(sink, &bytes))
+    }
+
+    /// The one array of a step: what `make` yields, or what it yielded in an earlier run.
+    pub fn array<T: Element>(&self, step: &str, make: impl FnOnce() -> Result<Vec<T>>) -> Result<Vec<T>> {
+        if let Some(kept) = self.find(step).and_then(|kept| kept.array("values")) {
+            return Ok(kept);
+        }
+        let made = make()?;
+        self.keep(step, &[("values", Array::from(&made[..]))])?;
+        Ok(made)
+    }
+
+    /// Removes the steps: all is done.
+    pub fn finish(self) {
+        // What cannot be removed is in nobody's way.
+        let _ = self.clear();
+    }
+
+    fn file(&self, step: &str) -> Option<PathBuf> {
+        Some(self.folder.as_ref()?.join(format!("{step}.{ENDING}")))
+    }
+
+    /// Removes the steps, and the folder if nothing else is in it.
+    fn clear(&self) -> std::io::Result<()> {
+        let Some(folder) = self.folder.as_ref().filter(|folder| folder.exists()) else { return Ok(()) };
+        for entry in fs::read_dir(folder)? {
+            let path = entry?.path();
+            if path.extension().is_some_and(|e| e == ENDING) || path.ends_with(IDENTITY) {
+                fs::remove_file(path)?;
+            }
+        }
+        match fs::remove_dir(folder) {
+            Err(e) if e.kind() != std::io::ErrorKind::DirectoryNotEmpty => Err(e),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn made(checkpoints: &Checkpoints, step: &str) -> bool {
+        let mut made = false;
+        let values = checkpoints.array(step, || {
+            made = true;
+            Ok(vec![[0.1f32, f32::MIN_POSITIVE, -0.0]; 5])
+        });
+        assert_eq!(values.unwrap(), vec![[0.1f32, f32::MIN_POSITIVE, -0.0]; 5]);
+        made
+    }
+
+    #[test]
+    fn a_step_is_made_once_until_all_is_done() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("kept");
+        let open = |identity| Checkpoints::open(&folder, identity).unwrap();
+        assert!(made(&open("a"), "one"));
+        assert!(!made(&open("a"), "one"), "known from an earlier run");
+        assert!(made(&open("a"), "two"));
+        assert!(made(&open("b"), "one"), "of another computation");
+        fs::write(folder.join("one.safetensors"), "torn").unwrap();
+        assert!(made(&open("b"), "one"), "not readable");
+        assert!(open("b").array::<f32>("one", || Ok(vec![])).unwrap().len() == 15 && open("b").find("two").is_none());
+        assert!(open("b").array::<u32>("one", || Ok(vec![7])).unwrap() == [7], "of another type");
+        open("b").finish();
+        assert!(!folder.exists());
+        assert!(made(&Checkpoints::none(), "one") && made(&Checkpoints::none(), "one"));
+    }
+
+    #[test]
+    fn files_of_others_stay() {
+        let root = tempfile::tempdir().unwrap();
+        fs::write(root.path().join("notes.txt"), "mine").unwrap();
+        let checkpoints = Checkpoints::open(root.path(), "a").unwrap();
+        checkpoints.keep("one", &[("x", Array::from(&[1.0f32][..]))]).unwrap();
+        checkpoints.finish();
+        let left: Vec<_> = fs::read_dir(root.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left, ["notes.txt"]);
+    }
+}
