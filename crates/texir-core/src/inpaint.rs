@@ -1,8 +1,8 @@
 //! Values for texels that no view sees (radiance, albedo, roughness), from texels nearby in space that face the same way.
 //!
 //! Seen texels are averaged in cells of a sparse grid, apart for each of six facing directions, at doubling cell sizes. An
-//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric, and only the finest
-//! level knows light sources: the strip of a window behind its frame shines, but light is not invented further away.
+//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric and leave out light
+//! sources: light is not invented.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, DefaultHasher};
@@ -26,22 +26,22 @@ const BLACK: f32 = 1e-6;
 /// The values of all points, non-negative, where `known` has them as they are; black if nothing is known at all. `texel` is the edge of a
 /// typical texel, metres.
 pub(crate) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
-    let limit = SOURCE * median_of_means(known);
+    let limit = source_limit(known);
     let seen = points.iter().zip(known).filter_map(|(p, k)| Some((p, (*k)?)));
     let grid = Grid::new(seen, texel, limit);
     points.par_iter().zip(known).map(|(point, known)| known.unwrap_or_else(|| grid.radiance(point))).collect()
 }
 
 /// Mean of the channels.
-fn mean(radiance: [f32; 3]) -> f32 {
+pub(crate) fn mean(radiance: [f32; 3]) -> f32 {
     radiance.iter().sum::<f32>() / 3.0
 }
 
-/// The median texel's mean over its channels; 0 without texels.
-fn median_of_means(known: &[Option<[f32; 3]>]) -> f32 {
+/// The mean over the channels above which a texel is taken for a light source; 0 without texels.
+pub(crate) fn source_limit(known: &[Option<[f32; 3]>]) -> f32 {
     let mut means: Vec<f32> = known.iter().flatten().map(|&radiance| mean(radiance)).collect();
     let middle = means.len() / 2;
-    if means.is_empty() { 0.0 } else { *means.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    if means.is_empty() { 0.0 } else { SOURCE * *means.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
 /// Weighted sum of logarithmic radiance.
@@ -74,22 +74,17 @@ impl Grid {
     fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, [f32; 3])>, texel: f32, limit: f32) -> Self {
         let cell = FINEST * texel.max(SMALLEST_TEXEL);
         let mut finest = Level::default();
-        let mut without_sources = Level::default();
         let mut all = Mean::default();
-        for (point, radiance) in seen {
+        for (point, radiance) in seen.filter(|(_, radiance)| mean(*radiance) <= limit) {
             let log = (Vec3::from(radiance) + BLACK).map(f32::ln);
             let key = ((Vec3::from(point.position) / cell).floor().as_ivec3(), facing(point.normal.into()));
             finest.entry(key).or_default().add(log, 1.0);
-            if mean(radiance) <= limit {
-                without_sources.entry(key).or_default().add(log, 1.0);
-                all.add(log, 1.0);
-            }
+            all.add(log, 1.0);
         }
         let mut levels = vec![finest];
         for level in 1..LEVELS {
-            let fine = if level == 1 { &without_sources } else { &levels[level - 1] };
             let mut coarse = Level::default();
-            for ((cell, facing), mean) in fine {
+            for ((cell, facing), mean) in &levels[level - 1] {
                 coarse.entry((*cell >> 1, *facing)).or_default().add(mean.sum, mean.weight);
             }
             levels.push(coarse);

@@ -7,6 +7,8 @@
 
 mod blend;
 mod sample;
+mod sources;
+mod unseen;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -20,6 +22,7 @@ use crate::inpaint;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::scene::Scene;
+use crate::surface::SurfacePoint;
 use blend::Best;
 use sample::Sampler;
 
@@ -97,38 +100,93 @@ fn fuse(
 ) -> Result<Tbl> {
     options.check()?;
     let atlas = Atlas::new(backend, scene, size.0, size.1)?;
-    let mut blended: Vec<Option<[f32; 3]>> = Vec::with_capacity(atlas.points.len());
-    progress.start("texture-based lighting", (atlas.points.len() * cameras.len()) as u64, "texels");
-    for points in atlas.points.chunks(BAND) {
-        let mut best = vec![Best::default(); points.len()];
-        for (i, camera) in cameras.iter().enumerate() {
-            progress.check()?;
-            let image = load(i)?;
-            let projected = backend.project(points, camera)?;
-            let sampler = Sampler::new(backend, &scene.mesh, camera, &image, options)?;
-            best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
-                if let Some(observation) = sampler.observe(point, at, atlas.texel_area(&scene.mesh, point.triangle)) {
-                    best.add(observation);
-                }
-            });
-            progress.advance(points.len() as u64);
-        }
-        blended.par_extend(best.par_iter().map(|best| best.blend(options)));
-    }
-    progress.finish();
-    if blended.iter().all(Option::is_none) {
+    let fusion = Fusion { scene, atlas: &atlas, cameras, options, progress };
+    let mut radiance = fusion.blend(backend, &mut load, &atlas.points)?;
+    if radiance.iter().all(Option::is_none) {
         return Err(Error::invalid(format!(
             "none of the {} views sees the mesh: check the camera poses (camera to world, metres, the mesh's frame) and \
              that the mesh's faces point into the rooms",
             cameras.len()
         )));
     }
-    let radiance = inpaint::fill(&atlas.points, &blended, atlas.typical_texel(&scene.mesh));
-    let coverage = blended.iter().map(|b| b.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
+    let limit = fusion.separate_sources(backend, &mut load, &mut radiance)?;
+    let coverage = radiance.iter().map(|r| r.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
+    unseen::shine(&scene.mesh, &atlas, limit, &mut radiance);
+    let radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
     Ok(Tbl {
         radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
         coverage: atlas.scatter(&coverage, Coverage::Outside),
     })
+}
+
+/// What the views are fused into, and how.
+struct Fusion<'a> {
+    scene: &'a Scene,
+    atlas: &'a Atlas,
+    cameras: &'a [Camera],
+    options: &'a TblOptions,
+    progress: &'a dyn Progress,
+}
+
+impl Fusion<'_> {
+    /// The blend of all views at each point; nothing where none sees it. Pixels that are not finite are not used.
+    fn blend(
+        &self,
+        backend: &mut dyn Backend,
+        load: &mut dyn FnMut(usize) -> Result<Rgb>,
+        points: &[SurfacePoint],
+    ) -> Result<Vec<Option<[f32; 3]>>> {
+        let Self { scene, atlas, cameras, options, progress } = *self;
+        let mut blended = Vec::with_capacity(points.len());
+        progress.start("texture-based lighting", (points.len() * cameras.len()) as u64, "texels");
+        for points in points.chunks(BAND) {
+            let mut best = vec![Best::default(); points.len()];
+            for (i, camera) in cameras.iter().enumerate() {
+                progress.check()?;
+                let image = load(i)?;
+                let projected = backend.project(points, camera)?;
+                let sampler = Sampler::new(backend, &scene.mesh, camera, &image, options)?;
+                best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
+                    let area = atlas.texel_area(&scene.mesh, point.triangle);
+                    if let Some(observation) = sampler.observe(point, at, area) {
+                        best.add(observation);
+                    }
+                });
+                progress.advance(points.len() as u64);
+            }
+            blended.par_extend(best.par_iter().map(|best| best.blend(options)));
+        }
+        progress.finish();
+        Ok(blended)
+    }
+
+    /// Light sources get the radiance that explains the pixels, and what is beside them is blended anew without the pixels
+    /// that mix the two; it counts as unseen where there are no others. Returns the mean over the channels above which a texel is a source.
+    fn separate_sources(
+        &self,
+        backend: &mut dyn Backend,
+        load: &mut dyn FnMut(usize) -> Result<Rgb>,
+        radiance: &mut [Option<[f32; 3]>],
+    ) -> Result<f32> {
+        let found = sources::resolve(self, backend, &mut *load, radiance)?;
+        let mut beside = Vec::new();
+        for (&texel, &resolved) in found.texels.iter().zip(&found.radiance) {
+            match inpaint::mean(resolved) > found.limit {
+                true => radiance[texel as usize] = Some(resolved),
+                false => beside.push(texel as usize),
+            }
+        }
+        let mut load_unmixed = |view: usize| {
+            let mut image = load(view)?;
+            found.mixed[view].iter().for_each(|&pixel| image.data[pixel] = [f32::NAN; 3]);
+            Ok(image)
+        };
+        let points: Vec<SurfacePoint> = beside.iter().map(|&i| self.atlas.points[i]).collect();
+        for (i, blended) in beside.into_iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {
+            radiance[i] = blended;
+        }
+        Ok(found.limit)
+    }
 }
 
 #[cfg(test)]

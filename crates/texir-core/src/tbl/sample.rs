@@ -135,7 +135,7 @@ fn pixels_per_radian(camera: &Camera, y: f32) -> Vec2 {
 
 /// Resolution of a view: pixels per steradian at a panorama's horizon, or on a pinhole's axis. (The crowded columns near
 /// a panorama's poles carry no more detail than its rows, so that sin φ does not enter.)
-fn pixels_per_steradian(camera: &Camera) -> f32 {
+pub(super) fn pixels_per_steradian(camera: &Camera) -> f32 {
     let middle = pixels_per_radian(camera, camera.height as f32 / 2.0);
     middle.x * middle.y
 }

@@ -203,6 +203,80 @@ fn lamps_keep_their_radiance_and_are_not_spread_to_what_is_unseen() {
     assert!(error(&scene, &tbl, Coverage::Inpainted, |_| [0.5; 3]) < 1e-3);
 }
 
+/// A photograph whose pixels are means over their area.
+fn filtered_photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
+    const FACTOR: usize = 8;
+    let fine = photograph(scene, &camera.supersampled(FACTOR), radiance);
+    let mean = |i: usize| {
+        let (x, y) = (i % camera.width * FACTOR, i / camera.width * FACTOR);
+        let part = |k: usize| Vec3::from(*fine.at(x + k % FACTOR, y + k / FACTOR));
+        ((0..FACTOR * FACTOR).map(part).sum::<Vec3>() / (FACTOR * FACTOR) as f32).to_array()
+    };
+    Rgb::new(camera.width, camera.height, (0..camera.pixels()).map(mean).collect()).unwrap()
+}
+
+#[test]
+fn a_lamp_as_small_as_a_pixel_keeps_its_power_and_does_not_glow() {
+    let scene = Scene::new(room()).unwrap();
+    // 30 cm of ceiling, where a pixel is 20 to 30 cm wide.
+    let centre = Vec3::new(1.5, 1.2, ROOM.z);
+    let lamp = |p: Vec3| p.z > ROOM.z - 0.01 && (p - centre).abs().truncate().max_element() < 0.15;
+    let shine = |p: Vec3, _: Vec3| if lamp(p) { [100.0; 3] } else { [0.5; 3] };
+    let coarse = |x, y, yaw| Camera { width: 64, height: 32, ..panorama(Vec3::new(x, y, 0.5), yaw) };
+    let cameras = [coarse(1.2, 1.1, 0.7), coarse(2.9, 1.9, 2.9), coarse(0.8, 2.1, 1.7), coarse(2.2, 0.6, 0.1)];
+    let images = cameras.map(|camera| filtered_photograph(&scene, &camera, shine));
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    // Of the ceiling around the lamp: Σ radiance · area beyond the ceiling's own, against the lamp's, and the strongest glow
+    // 10 cm beside it.
+    let measure = |radiance: &dyn Fn(usize) -> f32| {
+        let (mut power, mut truth, mut glow) = (0.0, 0.0, 0.0f32);
+        for (i, point) in atlas.points.iter().enumerate().filter(|(_, point)| point.triangle / 2 == 1) {
+            let p = Vec3::from(point.position);
+            power += radiance(i) - 0.5;
+            truth += if lamp(p) { 99.5 } else { 0.0 };
+            if (p - centre).abs().truncate().max_element() > 0.25 {
+                glow = glow.max(radiance(i));
+            }
+        }
+        (power / truth, glow)
+    };
+    let tbl = fuse_images(&scene, &cameras, &images, &TblOptions::default());
+    let (power, glow) = measure(&|i| tbl.radiance.data[atlas.texels[i] as usize][0]);
+    assert!((power - 1.0).abs() < 0.06, "the lamp has {power} of its power");
+    assert!(glow < 0.6, "beside the lamp the ceiling shines with {glow}");
+    // Negative control: views that are only blended.
+    let options = TblOptions::default();
+    let fusion = Fusion { scene: &scene, atlas: &atlas, cameras: &cameras, options: &options, progress: &Silent };
+    let blended = fusion.blend(&mut backend, &mut |i| Ok(images[i].clone()), &atlas.points).unwrap();
+    let (power, glow) = measure(&|i| blended[i].map_or(0.5, |radiance| radiance[0]));
+    assert!((power - 1.0).abs() > 0.1 || glow > 2.0, "a blend alone has {power} of the power and glows with {glow}");
+}
+
+#[test]
+fn a_source_shines_on_its_unseen_sides_and_no_further() {
+    let scene = Scene::new(room()).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
+    let face = |point: &SurfacePoint| point.triangle / 2;
+    // The floor shines, the ceiling does not, and nobody has seen the walls.
+    let known = |point: &SurfacePoint| match face(point) {
+        0 => Some([5.0; 3]),
+        1 => Some([0.1; 3]),
+        _ => None,
+    };
+    let mut radiance: Vec<_> = atlas.points.iter().map(known).collect();
+    unseen::shine(&scene.mesh, &atlas, 1.0, &mut radiance);
+    for (point, radiance) in atlas.points.iter().zip(&radiance).filter(|(point, _)| face(point) > 1) {
+        let at_floor = scene.mesh.corners(point.triangle).iter().filter(|corner| corner.z == 0.0).count() == 2;
+        assert_eq!(radiance.is_some_and(|l| (l[0] - 5.0).abs() < 0.01), at_floor, "triangle {}", point.triangle);
+    }
+    // A floor half of which is dark is no source.
+    let mut radiance: Vec<_> = atlas.points.iter().map(known).collect();
+    radiance.iter_mut().step_by(2).flatten().for_each(|radiance| *radiance = [0.1; 3]);
+    unseen::shine(&scene.mesh, &atlas, 1.0, &mut radiance);
+    assert!(atlas.points.iter().zip(&radiance).all(|(point, radiance)| face(point) < 2 || radiance.is_none()));
+}
+
 #[test]
 fn the_gutter_repeats_the_chart_and_counts_as_outside() {
     let scene = Scene::new(room()).unwrap();

@@ -1,0 +1,201 @@
+//! Light sources at the resolution of the texture.
+//!
+//! A pixel at the rim of a lamp, or one that is larger than the lamp, shows the lamp and what surrounds it. Blending such
+//! pixels dims lamps and lets them glow onto the ceiling beside them, and a dimmed lamp lights the whole scene less. Around
+//! light sources the texture is therefore made to explain the pixels of all views: every pixel is the mean of the texels it
+//! shows, and Richardson–Lucy iterations (Richardson 1972, Lucy 1974) find non-negative texels with these means. They keep
+//! the power that the pixels hold, whatever the pixels' size, so that a lamp below the size of a pixel gets the radiance
+//! that its area needs.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::Fusion;
+use super::sample::pixels_per_steradian;
+use crate::backend::Backend;
+use crate::camera::{Camera, Projection};
+use crate::cpu::trace::Trace;
+use crate::error::Result;
+use crate::inpaint;
+use crate::raster::{Raster, Rgb};
+use crate::real::V3;
+use crate::surface::Hit;
+use crate::texture::{Rows, Tap, merge};
+
+/// Richardson–Lucy iterations: what is a pixel wide is sharp after about ten, what is a fraction of it after some more.
+const ITERATIONS: usize = 60;
+/// Rays through a pixel along each axis, at least and at most.
+const RAYS: (f32, f32) = (4.0, 16.0);
+/// Rays through a pixel per texel that it shows, along each axis: none shall be missed.
+const RAYS_PER_TEXEL: f32 = 1.5;
+/// What the pixels say of a texel counts against this many pixels that say that it is right: texels that are hardly seen
+/// stay as they are.
+const DAMPING: f32 = 0.1;
+/// A pixel mixes a light source in when this share of its radiance is the source's.
+const MIXED: f32 = 0.05;
+/// Keeps quotients of black finite; far below any radiance that matters.
+const BLACK: f32 = 1e-6;
+/// No texel.
+const NONE: u32 = u32::MAX;
+
+/// What is known of the surroundings of light sources.
+pub(super) struct Surroundings {
+    /// The texels of light sources and around them that pixels show.
+    pub texels: Vec<u32>,
+    /// Their radiance; above `limit` they are sources.
+    pub radiance: Vec<[f32; 3]>,
+    /// The mean over the channels above which a texel is a light source.
+    pub limit: f32,
+    /// Per view, the pixels that mix sources in.
+    pub mixed: Vec<Vec<usize>>,
+}
+
+/// Pixels at light sources.
+#[derive(Default)]
+struct Pixels {
+    /// View and index in its image.
+    place: Vec<(usize, usize)>,
+    radiance: Vec<Vec3>,
+    /// The texels that a pixel shows; they sum to the part of it that shows the mesh.
+    shares: Vec<Vec<Tap>>,
+}
+
+/// Resolves the light sources that are known from `blended`, one radiance per valid texel.
+pub(super) fn resolve(
+    fusion: &Fusion<'_>,
+    backend: &mut dyn Backend,
+    mut load: impl FnMut(usize) -> Result<Rgb>,
+    blended: &[Option<[f32; 3]>],
+) -> Result<Surroundings> {
+    let Fusion { scene, atlas, cameras, progress, .. } = *fusion;
+    let limit = inpaint::source_limit(blended);
+    let shines = |radiance: &Option<[f32; 3]>| radiance.is_some_and(|radiance| inpaint::mean(radiance) > limit);
+    let points: Vec<_> = atlas.points.iter().zip(blended).filter(|(_, b)| shines(b)).map(|(p, _)| *p).collect();
+    let numbers: Vec<u32> = (0..blended.len() as u32).collect();
+    let index = atlas.scatter(&numbers, NONE);
+    let mut pixels = Pixels::default();
+    progress.start("light sources", cameras.len() as u64, "views");
+    for (view, camera) in cameras.iter().enumerate() {
+        progress.check()?;
+        let mut rays = vec![0u8; camera.pixels()];
+        for (at, point) in backend.project(&points, camera)?.iter().zip(&points).filter(|(at, _)| at.distance > 0.0) {
+            let area = atlas.texel_area(&scene.mesh, point.triangle);
+            let texels = at.distance / (area * at.cosine * pixels_per_steradian(camera)).sqrt();
+            let needed = (RAYS_PER_TEXEL * texels).ceil().clamp(RAYS.0, RAYS.1) as u8;
+            for pixel in around(camera, at.pixel) {
+                rays[pixel] = rays[pixel].max(needed);
+            }
+        }
+        pixels.add(fusion, view, &load(view)?, &rays, &index);
+        progress.advance(1);
+    }
+    progress.finish();
+    let texels = pixels.renumber(blended.len());
+    let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
+    let rows = Rows::from_lists(std::mem::take(&mut pixels.shares));
+    let radiance = explain(&rows, &pixels.radiance, &start);
+
+    let sum = |row: usize, least: f32| -> f32 {
+        let shown = rows.row(row).iter().map(|tap| (mean(radiance[tap.texel as usize]), tap.weight));
+        shown.filter(|(value, _)| *value > least).map(|(value, share)| value * share).sum()
+    };
+    let mut mixed = vec![Vec::new(); cameras.len()];
+    for (row, &(view, pixel)) in pixels.place.iter().enumerate() {
+        if sum(row, limit) > MIXED * sum(row, 0.0) {
+            mixed[view].push(pixel);
+        }
+    }
+    Ok(Surroundings { texels, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
+}
+
+/// The pixel at continuous coordinates and its eight neighbours.
+fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
+    let (width, height) = (camera.width as i64, camera.height as i64);
+    let wraps = camera.projection == Projection::Equirectangular;
+    (0..9).filter_map(move |k| {
+        let (x, y) = (x as i64 + k % 3 - 1, y as i64 + k / 3 - 1);
+        let x = if wraps { x.rem_euclid(width) } else { x };
+        ((0..width).contains(&x) && (0..height).contains(&y)).then_some((y * width + x) as usize)
+    })
+}
+
+impl Pixels {
+    /// Adds a view's pixels with `rays` along each axis; those with 0 are left out, and so are those that show the back of
+    /// a surface, whose radiance the texture does not hold.
+    fn add(&mut self, fusion: &Fusion<'_>, view: usize, image: &Rgb, rays: &[u8], index: &Raster<u32>) {
+        let (scene, camera) = (fusion.scene, &fusion.cameras[view]);
+        let origin = V3(camera.position().to_array());
+        let look = |pixel: usize| -> Option<Vec<Tap>> {
+            let (x, y) = ((pixel % camera.width) as f32, (pixel / camera.width) as f32);
+            let n = u32::from(rays[pixel]);
+            let weight = 1.0 / (n * n) as f32;
+            let mut taps = Vec::with_capacity((n * n) as usize);
+            for k in 0..n * n {
+                let (dx, dy) = ((k % n) as f32 + 0.5, (k / n) as f32 + 0.5);
+                let direction = camera.direction(x + dx / n as f32, y + dy / n as f32);
+                let Some(hit) = scene.closest(origin, V3(direction.to_array())).map(Hit::from) else { continue };
+                if scene.mesh.face_normal(hit.triangle).dot(direction) > 0.0 {
+                    return None;
+                }
+                let texel = index.data[index.nearest(hit.uv(&scene.mesh))];
+                taps.extend((texel != NONE).then_some(Tap { texel, weight }));
+            }
+            let shown = taps.len() as f32 * weight;
+            merge(&mut taps);
+            taps.iter_mut().for_each(|tap| tap.weight *= shown);
+            (!taps.is_empty()).then_some(taps)
+        };
+        let pixels: Vec<usize> = (0..rays.len()).filter(|&pixel| rays[pixel] > 0).collect();
+        let looks: Vec<_> = pixels.par_iter().map(|&pixel| look(pixel)).collect();
+        for (pixel, shares) in pixels.into_iter().zip(looks) {
+            let radiance = Vec3::from(image.data[pixel]);
+            if let Some(shares) = shares.filter(|_| radiance.is_finite()) {
+                self.place.push((view, pixel));
+                self.radiance.push(radiance);
+                self.shares.push(shares);
+            }
+        }
+    }
+
+    /// Numbers the texels that any pixel shows from 0, and returns which of `texels` they are.
+    fn renumber(&mut self, texels: usize) -> Vec<u32> {
+        let mut number = vec![NONE; texels];
+        let mut shown = Vec::new();
+        for tap in self.shares.iter_mut().flatten() {
+            let slot = &mut number[tap.texel as usize];
+            if *slot == NONE {
+                *slot = shown.len() as u32;
+                shown.push(tap.texel);
+            }
+            tap.texel = *slot;
+        }
+        shown
+    }
+}
+
+/// Richardson–Lucy: the texels whose means over `rows` are the pixels `seen`, from `start` (from what the pixels show, where
+/// there is none).
+fn explain(rows: &Rows, seen: &[Vec3], start: &[Option<Vec3>]) -> Vec<Vec3> {
+    let columns = rows.transposed(start.len());
+    let gather = |matrix: &Rows, values: &[Vec3]| -> Vec<Vec3> {
+        let row = |i| matrix.row(i).iter().map(|tap| values[tap.texel as usize] * tap.weight).sum();
+        (0..matrix.len()).into_par_iter().map(row).collect()
+    };
+    let total = gather(&columns, &vec![Vec3::ONE; rows.len()]);
+    let mut texels = gather(&columns, seen);
+    for ((texel, total), start) in texels.iter_mut().zip(&total).zip(start) {
+        *texel = start.unwrap_or(*texel / *total);
+    }
+    for _ in 0..ITERATIONS {
+        let shown = gather(rows, &texels);
+        let quotient: Vec<Vec3> = seen.iter().zip(shown).map(|(seen, shown)| (seen + BLACK) / (shown + BLACK)).collect();
+        for (texel, (correction, total)) in texels.iter_mut().zip(gather(&columns, &quotient).iter().zip(&total)) {
+            *texel *= (*correction + DAMPING) / (*total + DAMPING);
+        }
+    }
+    texels
+}
+
+fn mean(radiance: Vec3) -> f32 {
+    inpaint::mean(radiance.to_array())
+}
