@@ -1,13 +1,11 @@
 //! The fit: from a capture to albedo and roughness textures.
 //!
-//! texture-based lighting → light sources → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
+//! texture-based lighting → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
 
 pub mod adam;
 pub mod adjacency;
-pub mod emission;
 pub mod emitters;
 pub mod full;
-mod least_squares;
 #[cfg(test)]
 mod lit_square;
 pub mod paper;
@@ -35,9 +33,6 @@ use crate::scene::Scene;
 use crate::tbl::{self, TblOptions};
 pub use paper::stages::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
-
-/// Rays per texel of the irradiance by which light sources are told from what they light.
-const ROUGH_SAMPLES: u32 = 32;
 
 /// What both modes start from: the light of the scene, and where its texels are.
 pub struct Ground<'a> {
@@ -115,32 +110,29 @@ pub fn fit(
         (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
         (size, _) => (size, size),
     };
-    let mut tbl = match &capture.tbl {
-        Some(tbl) if tbl.radiance.size() == size => tbl.clone(),
-        _ => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
+    let given = capture.tbl.as_ref().filter(|tbl| tbl.radiance.size() == size);
+    let mut tbl = match given {
+        Some(tbl) => tbl.clone(),
+        None => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
     };
+    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
+    if given.is_some() && settings.mode == Mode::Full && settings.full.resolve_sources {
+        tbl = tbl::resolve_sources(backend, scene, &atlas, &tbl, &training, progress)?;
+    }
     timings.mark("texture-based lighting");
 
-    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
-    let surface = (&atlas, &adjacency);
-    let shine = |backend: &mut dyn Backend, radiance: &Rgb, samples: u32| -> Result<(Lights, Rgb)> {
-        let lights = Lights::find(&scene.mesh, &atlas, radiance);
-        backend.set_tbl(radiance, &lights)?;
-        let gather = Gather { cosine: samples - samples / 2, light: samples / 2, seed: settings.seed };
-        let irradiance = checkpoints.array(&format!("irradiance-{samples}"), || {
-            Ok(bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill).data)
-        })?;
-        Ok((lights, Raster::new(atlas.width, atlas.height, irradiance)?))
+    let lights = Lights::find(&scene.mesh, &atlas, &tbl.radiance);
+    backend.set_tbl(&tbl.radiance, &lights)?;
+    let gather = Gather {
+        cosine: settings.irradiance_samples - settings.irradiance_samples / 2,
+        light: settings.irradiance_samples / 2,
+        seed: settings.seed,
     };
-    if settings.mode == Mode::Full && settings.full.resolve_lights {
-        let (_, irradiance) = shine(backend, &tbl.radiance, ROUGH_SAMPLES.min(settings.irradiance_samples))?;
-        let light = (&tbl.radiance, &irradiance);
-        let emitters = emitters::find(backend, surface, light, &training, settings.emitter_ratio, progress)?;
-        tbl.radiance = emission::resolve(backend, scene, surface, (&tbl.radiance, &emitters), &training, progress)?;
-        timings.mark("light sources");
-    }
-    let (lights, irradiance) = shine(backend, &tbl.radiance, settings.irradiance_samples)?;
+    let irradiance = checkpoints.array("irradiance", || {
+        Ok(bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill).data)
+    })?;
+    let irradiance = Raster::new(atlas.width, atlas.height, irradiance)?;
     timings.mark("irradiance");
 
     let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();
@@ -148,7 +140,7 @@ pub fn fit(
     timings.mark("rooms");
 
     let light = (&tbl.radiance, &irradiance);
-    let emitters = emitters::find(backend, surface, light, &training, settings.emitter_ratio, progress)?;
+    let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
     let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
     if emission.data.iter().all(|e| *e == [0.0; 3]) {
         return Err(Error::invalid(

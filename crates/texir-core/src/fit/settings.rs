@@ -60,8 +60,9 @@ pub struct FitSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FullSettings {
-    /// Seek the radiance of light sources finer than the pixels that show them.
-    pub resolve_lights: bool,
+    /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one built
+    /// from the views are.
+    pub resolve_sources: bool,
     /// Light samples of each of a pixel's four points: per lobe of five,
     pub lobe_samples: u32,
     /// cosine-distributed,
@@ -280,7 +281,7 @@ impl Default for FitSettings {
 impl Default for FullSettings {
     fn default() -> Self {
         Self {
-            resolve_lights: true,
+            resolve_sources: true,
             lobe_samples: 6,
             cosine_samples: 2,
             light_samples: 12,

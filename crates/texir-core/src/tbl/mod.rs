@@ -101,7 +101,7 @@ fn fuse(
     options.check()?;
     let atlas = Atlas::new(backend, scene, size.0, size.1)?;
     let fusion = Fusion { scene, atlas: &atlas, cameras, options, progress };
-    let mut radiance = fusion.blend(backend, &mut load, &atlas.points)?;
+    let radiance = fusion.blend(backend, &mut load, &atlas.points)?;
     if radiance.iter().all(Option::is_none) {
         return Err(Error::invalid(format!(
             "none of the {} views sees the mesh: check the camera poses (camera to world, metres, the mesh's frame) and \
@@ -109,14 +109,23 @@ fn fuse(
             cameras.len()
         )));
     }
-    let limit = fusion.separate_sources(backend, &mut load, &mut radiance)?;
-    let coverage = radiance.iter().map(|r| r.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
-    unseen::shine(&scene.mesh, &atlas, limit, &mut radiance);
-    let radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
-    Ok(Tbl {
-        radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
-        coverage: atlas.scatter(&coverage, Coverage::Outside),
-    })
+    fusion.complete(backend, &mut load, radiance)
+}
+
+/// A TBL, of the size of `atlas`, whose light sources explain the pixels of `views`: see [`sources`].
+pub fn resolve_sources(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    atlas: &Atlas,
+    tbl: &Tbl,
+    views: &[View],
+    progress: &dyn Progress,
+) -> Result<Tbl> {
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let fusion = Fusion { scene, atlas, cameras: &cameras, options: &TblOptions::default(), progress };
+    let seen = |&t: &u32| (tbl.coverage.data[t as usize] == Coverage::Seen).then(|| tbl.radiance.data[t as usize]);
+    let radiance = atlas.texels.iter().map(seen).collect();
+    fusion.complete(backend, &mut |i| views[i].load_image(progress), radiance)
 }
 
 /// What the views are fused into, and how.
@@ -129,6 +138,25 @@ struct Fusion<'a> {
 }
 
 impl Fusion<'_> {
+    /// The TBL from the radiance of the texels that are seen: light sources are separated from what is beside them, and what
+    /// is not seen is filled.
+    fn complete(
+        &self,
+        backend: &mut dyn Backend,
+        load: &mut dyn FnMut(usize) -> Result<Rgb>,
+        mut radiance: Vec<Option<[f32; 3]>>,
+    ) -> Result<Tbl> {
+        let Self { scene, atlas, options, .. } = *self;
+        let limit = self.separate_sources(backend, load, &mut radiance)?;
+        let coverage = radiance.iter().map(|r| r.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
+        unseen::shine(&scene.mesh, atlas, limit, &mut radiance);
+        let radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
+        Ok(Tbl {
+            radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
+            coverage: atlas.scatter(&coverage, Coverage::Outside),
+        })
+    }
+
     /// The blend of all views at each point; nothing where none sees it. Pixels that are not finite are not used.
     fn blend(
         &self,

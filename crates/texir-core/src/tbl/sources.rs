@@ -188,7 +188,8 @@ fn explain(rows: &Rows, seen: &[Vec3], start: &[Option<Vec3>]) -> Vec<Vec3> {
     }
     for _ in 0..ITERATIONS {
         let shown = gather(rows, &texels);
-        let quotient: Vec<Vec3> = seen.iter().zip(shown).map(|(seen, shown)| (seen + BLACK) / (shown + BLACK)).collect();
+        let quotient: Vec<Vec3> =
+            seen.iter().zip(shown).map(|(seen, shown)| (seen + BLACK) / (shown + BLACK)).collect();
         for (texel, (correction, total)) in texels.iter_mut().zip(gather(&columns, &quotient).iter().zip(&total)) {
             *texel *= (*correction + DAMPING) / (*total + DAMPING);
         }

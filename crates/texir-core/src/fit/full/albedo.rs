@@ -13,9 +13,11 @@ use super::observations::Observations;
 use super::palette::Palettes;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
-use crate::fit::least_squares::{BLOCK, NormalEquations, conjugate_gradients};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
 use crate::specular_table::node;
+
+/// Items per task of a parallel loop.
+const BLOCK: usize = 4096;
 
 /// The roughness that albedo is sought for.
 pub enum Roughness<'a> {
@@ -217,17 +219,7 @@ impl System<'_> {
             .collect()
     }
 
-    /// Adjacency of a texel with their weights.
-    fn links(&self, t: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
-        let [left, right, up, down] = self.problem.adjacency.beside[t];
-        let back = |n: u32, side: usize| if n == NONE { 0.0 } else { self.edges[n as usize][side] };
-        [(left, back(left, 0)), (right, self.edges[t][0]), (up, back(up, 1)), (down, self.edges[t][1])]
-            .into_iter()
-            .filter(|(n, weight)| *n != NONE && *weight > 0.0)
-    }
-}
-
-impl NormalEquations for System<'_> {
+    /// A x.
     fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
         let p = self.problem;
         let mut out = self.transposed(&p.seen_albedo(x));
@@ -240,6 +232,7 @@ impl NormalEquations for System<'_> {
         out
     }
 
+    /// The diagonal of A.
     fn diagonal(&self) -> Vec<Vec3A> {
         let p = self.problem;
         let per = |pixel: u32| p.per_irradiance[pixel as usize] * std::f32::consts::FRAC_1_PI;
@@ -256,4 +249,48 @@ impl NormalEquations for System<'_> {
             })
             .collect()
     }
+
+    /// Adjacency of a texel with their weights.
+    fn links(&self, t: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
+        let [left, right, up, down] = self.problem.adjacency.beside[t];
+        let back = |n: u32, side: usize| if n == NONE { 0.0 } else { self.edges[n as usize][side] };
+        [(left, back(left, 0)), (right, self.edges[t][0]), (up, back(up, 1)), (down, self.edges[t][1])]
+            .into_iter()
+            .filter(|(n, weight)| *n != NONE && *weight > 0.0)
+    }
+}
+
+/// Jacobi-preconditioned conjugate gradients, the three channels side by side.
+fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], right: &[Vec3A], iterations: u32) {
+    let inverse: Vec<Vec3A> = system.diagonal().into_par_iter().map(|d| 1.0 / d.max(Vec3A::splat(1e-12))).collect();
+    let mut residual: Vec<Vec3A> = (system.apply(x), right).into_par_iter().map(|(a, r)| *r - a).collect();
+    let mut preconditioned: Vec<Vec3A> = (&residual, &inverse).into_par_iter().map(|(r, m)| *r * *m).collect();
+    let mut direction = preconditioned.clone();
+    let mut rho = dot(&residual, &preconditioned);
+    for _ in 0..iterations {
+        let image = system.apply(&direction);
+        let step = ratio(rho, dot(&direction, &image));
+        (&mut *x, &direction).into_par_iter().for_each(|(x, d)| *x += step * *d);
+        (&mut residual, &image).into_par_iter().for_each(|(r, a)| *r -= step * *a);
+        (&mut preconditioned, &residual, &inverse).into_par_iter().for_each(|(z, r, m)| *z = *r * *m);
+        let next = dot(&residual, &preconditioned);
+        let turn = ratio(next, rho);
+        rho = next;
+        (&mut direction, &preconditioned).into_par_iter().for_each(|(d, z)| *d = *z + turn * *d);
+    }
+}
+
+/// Per channel, summed block by block in a fixed order.
+fn dot(a: &[Vec3A], b: &[Vec3A]) -> [f64; 3] {
+    let partial: Vec<[f64; 3]> = a
+        .par_chunks(BLOCK)
+        .zip(b.par_chunks(BLOCK))
+        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| *a * *b).sum::<Vec3A>().to_array().map(f64::from))
+        .collect();
+    partial.iter().fold([0.0; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c]))
+}
+
+/// a / b per channel; 0 where b is: nothing is left to do there.
+fn ratio(a: [f64; 3], b: [f64; 3]) -> Vec3A {
+    Vec3A::from_array(std::array::from_fn(|c| if b[c] > 0.0 { (a[c] / b[c]) as f32 } else { 0.0 }))
 }
