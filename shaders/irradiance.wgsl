@@ -27,11 +27,10 @@ struct IrradianceParams {
     // Samples of the whole gather, by technique: n_c and n_l.
     cosine_samples: u32,
     light_samples: u32,
-    // Entries of `light_slots`.
-    slots: u32,
     seed: u32,
-    // 2³²/n_c: the step of the cosine samples' lattice.
-    step: u32,
+    // 2³²/n_c and 2³²/n_l: the steps of the lattices.
+    cosine_step: u32,
+    light_step: u32,
 }
 
 // What was found at a point.
@@ -48,14 +47,14 @@ struct Gathered {
 
 // L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back; 0 for a miss.
 // A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks.
-fn contribution(hit: Intersection, direction: vec3f, cosine: f32) -> vec4f {
+fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) -> vec4f {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
     let normal = primitive_normal(primitive);
     let towards = dot(normal, direction);
     let back = towards > 0.0;
-    let per_solid_angle = light_pdf(primitive, hit.t, towards / length(normal));
+    let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
-    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive] > 0.0);
+    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive].per_area > 0.0);
     return select(vec4f(light, select(0.0, 1.0, back)), vec4f(0.0), hit.primitive == MISS);
 }
 
@@ -68,12 +67,15 @@ struct Share {
     point: SurfacePoint,
     // Seed of the point's sequences.
     seed: u32,
+    // Where the point's table of the lights begins.
+    table: u32,
 }
 
 fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
     let item = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
     let point = points[min(item, params.count - 1u)];
-    return Share(item, thread % LANES, item < params.count, point, hash2(params.seed, params.first_point + item));
+    let seed = hash2(params.seed, params.first_point + item);
+    return Share(item, thread % LANES, item < params.count, point, seed, light_table(point.position, point.normal));
 }
 
 var<workgroup> lane_sums: array<vec4f, 64>;
@@ -101,9 +103,9 @@ fn gather_cosine(
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(fibonacci2(s, params.step, offset));
+        let local = cosine_direction(fibonacci2(s, params.cosine_step, offset));
         let direction = world_from_frame(frame, local);
-        sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z);
+        sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z, own.table);
     }
     var total = sum_over_lanes(thread, own.lane, sum);
     if own.exists && own.lane == 0u {
@@ -124,17 +126,16 @@ fn gather_lights(
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let own = share_of(thread, workgroup, workgroups);
-    let choice_seed = hash2(own.seed, 2u);
-    let point_seed = hash2(own.seed, 1u);
+    let offset = vec2u(hash2(own.seed, 1u), hash2(own.seed, 2u));
     var sum = vec3f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let light = light_point(sobol2(s, choice_seed).x, params.slots, sobol2(s, point_seed));
+        let light = light_point(own.table, fibonacci2(s, params.light_step, offset));
         let direction = normalize(light.position - own.point.position);
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.
         let hit = closest_hit(own.point.position, direction, select(-1.0, T_FAR, cosine > 0.0));
         if hit.primitive == light.primitive {
-            sum += contribution(hit, direction, cosine).xyz;
+            sum += contribution(hit, direction, cosine, own.table).xyz;
         }
     }
     let total = sum_over_lanes(thread, own.lane, vec4f(sum, 0.0)).xyz;

@@ -36,9 +36,8 @@ struct SpecularTableParams {
     lobe_samples: u32,
     cosine_samples: u32,
     light_samples: u32,
-    // Entries of `light_slots`.
-    slots: u32,
     seed: u32,
+    pad: u32,
     // Roughnesses of the LOBES, then unused.
     lobes: array<vec4f, 2>,
     // Roughnesses of the NODES.
@@ -60,8 +59,8 @@ struct Aim {
 // Sample `s` of the dispatch's technique, from one of the pixel's points.
 fn aim(point: ShadePoint, frame: Frame, s: u32, seed: u32) -> Aim {
     if TECHNIQUE == FROM_LIGHTS {
-        let sequence = hash2(seed, LOBES + 1u);
-        let light = light_point(sobol2(s, hash2(sequence, 1u)).x, params.slots, sobol2(s, sequence));
+        let table = light_table(point.position, point.normal);
+        let light = light_point(table, sobol2(s, hash2(seed, LOBES + 1u)));
         return Aim(normalize(light.position - point.position), light.primitive);
     }
     if TECHNIQUE == FROM_COSINE {
@@ -122,7 +121,7 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
     let density = f32(params.lobe_samples) * lobes * c.nh / (4.0 * c.vh)
         + f32(params.cosine_samples) * c.nl * INV_PI
         + f32(params.light_samples)
-            * light_pdf(primitive, hit.t, dot(normalize(primitive_normal(primitive)), aim.direction));
+            * light_pdf(light_table(point.position, point.normal), primitive, hit.t, dot(normalize(primitive_normal(primitive)), aim.direction));
     let x = fresnel_weight(c.vh);
     let light = radiance_at(hit) * ((DIELECTRIC_F0 * (1.0 - x) + x) * c.nl / density);
     let counts = hit.primitive != MISS && (aim.primitive == MISS || aim.primitive == hit.primitive);

@@ -2,17 +2,39 @@
 
 #import bvh
 
-// One slot of the alias table over the lights: `primitive` with probability `keep`, else `alternative`.
-struct LightSlot {
+struct LightTriangle {
     primitive: u32,
-    alternative: u32,
-    keep: f32,
-    pad: f32,
+    // Probability, within the cluster, of this triangle and those before it.
+    cumulative: f32,
 }
 
-@group(0) @binding(4) var<storage, read> light_slots: array<LightSlot>;
-// Per primitive: density per square metre with which the slots draw a point on it.
-@group(0) @binding(5) var<storage, read> light_density: array<f32>;
+struct LightDensity {
+    // Density per square metre of points on the primitive once its cluster is chosen; 0 for what is no light.
+    per_area: f32,
+    cluster: u32,
+}
+
+// Cubic cells of the scene's surface, times six facings.
+struct LightGrid {
+    origin: vec3f,
+    // Cells per metre.
+    per_metre: f32,
+    // Cells along each axis.
+    size: vec3u,
+    // Clusters, the length of a table; 0 without lights.
+    clusters: u32,
+}
+
+@group(0) @binding(4) var<storage, read> light_triangles: array<LightTriangle>;
+// Per primitive.
+@group(0) @binding(5) var<storage, read> light_density: array<LightDensity>;
+// The first of each cluster's triangles, and at last their number.
+@group(0) @binding(6) var<storage, read> light_clusters: array<u32>;
+// Tables of a number per cluster: the probability of it and those before it.
+@group(0) @binding(7) var<storage, read> light_tables: array<f32>;
+// Per cell (x fastest) and facing, six to a cell: the number of its table.
+@group(0) @binding(8) var<storage, read> light_cells: array<u32>;
+@group(0) @binding(9) var<uniform> light_grid: LightGrid;
 
 // A point on a light, and the primitive it lies on.
 struct LightPoint {
@@ -20,20 +42,66 @@ struct LightPoint {
     primitive: u32,
 }
 
-// Slot ⌊choice·slots⌋, whose fraction decides between the two lights, and a uniform point by the square-root map.
-fn light_point(choice: f32, slots: u32, u: vec2f) -> LightPoint {
-    let scaled = choice * f32(slots);
-    let slot = light_slots[min(u32(scaled), slots - 1u)];
-    let primitive = select(slot.alternative, slot.primitive, fract(scaled) < slot.keep);
-    let root = sqrt(u.x);
+// Where the table begins that holds at a point of the surface.
+fn light_table(position: vec3f, normal: vec3f) -> u32 {
+    let q = floor((position - light_grid.origin) * light_grid.per_metre);
+    let inside = all(q >= vec3f(0.0)) && all(q < vec3f(light_grid.size));
+    let cell = vec3u(select(vec3f(0.0), q, inside));
+    let a = abs(normal);
+    let axis = select(select(1u, 2u, a.z >= a.y), 0u, a.x > a.y && a.x > a.z);
+    let facing = 2u * axis + select(0u, 1u, normal[axis] < 0.0);
+    let index = 6u * ((cell.z * light_grid.size.y + cell.y) * light_grid.size.x + cell.x) + facing;
+    if !inside {
+        return 0u;
+    }
+    return light_cells[index] * light_grid.clusters;
+}
+
+// How far u lies within [before, up_to), in [0, 1).
+fn share_below(u: f32, before: f32, up_to: f32) -> f32 {
+    return clamp((u - before) / (up_to - before), 0.0, 0.99999994);
+}
+
+// The first number of u chooses a cluster by the table, what is left of it a triangle of the cluster, and what is left of
+// that is a coordinate on the triangle (square-root map).
+fn light_point(table: u32, u: vec2f) -> LightPoint {
+    var low = 0u;
+    var high = light_grid.clusters - 1u;
+    while low < high {
+        let middle = (low + high) / 2u;
+        if light_tables[table + middle] <= u.x {
+            low = middle + 1u;
+        } else {
+            high = middle;
+        }
+    }
+    let before_cluster = select(light_tables[table + max(low, 1u) - 1u], 0.0, low == 0u);
+    let in_cluster = share_below(u.x, before_cluster, light_tables[table + low]);
+    let first = light_clusters[low];
+    high = light_clusters[low + 1u] - 1u;
+    low = first;
+    while low < high {
+        let middle = (low + high) / 2u;
+        if light_triangles[middle].cumulative <= in_cluster {
+            low = middle + 1u;
+        } else {
+            high = middle;
+        }
+    }
+    let before_triangle = select(light_triangles[max(low, 1u) - 1u].cumulative, 0.0, low == first);
+    let root = sqrt(share_below(in_cluster, before_triangle, light_triangles[low].cumulative));
+    let primitive = light_triangles[low].primitive;
     let v0 = bitcast<vec3f>(triangle_word(primitive * 3u).xyz);
     let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
     let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
     return LightPoint(v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y), primitive);
 }
 
-// Density, per solid angle, with which light samples draw a point of `primitive`, `t` metres away and seen under the
-// cosine θ' with its normal: density per area · t² / |cosθ'|.
-fn light_pdf(primitive: u32, t: f32, cosine: f32) -> f32 {
-    return light_density[primitive] * t * t / max(abs(cosine), 1e-6);
+// Density, per solid angle, with which light samples of a table draw a point of `primitive`, `t` metres away and seen under
+// the cosine θ' with its normal: density per area · t² / |cosθ'|. 0 where there are no lights.
+fn light_pdf(table: u32, primitive: u32, t: f32, cosine: f32) -> f32 {
+    let on = light_density[primitive];
+    let at = table + on.cluster;
+    let before = select(light_tables[max(at, 1u) - 1u], 0.0, on.cluster == 0u);
+    return (light_tables[at] - before) * on.per_area * t * t / max(abs(cosine), 1e-6);
 }

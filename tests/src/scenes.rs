@@ -123,7 +123,7 @@ pub fn smooth_light(size: usize) -> Rgb {
 pub fn lights(backend: &mut dyn Backend, scene: &Scene, radiance: &Rgb) -> Lights {
     let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)
         .unwrap_or_else(|e| panic!("the scene has no texel map: {e}"));
-    Lights::find(&scene.mesh, &atlas, radiance)
+    Lights::find(scene, &atlas, radiance)
 }
 
 /// A panorama and a pinhole in [`furnished_room`], with poses that are not aligned to it.

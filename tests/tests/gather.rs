@@ -8,7 +8,7 @@ use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient
 use texir_core::brdf::{fresnel_weight, masking};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
-use texir_core::lights::Lights;
+use texir_core::lights::{LightDensity, Lights};
 use texir_core::progress::{Progress, Silent};
 use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
@@ -41,7 +41,7 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
 fn light(backend: &mut dyn Backend, scene: &Scene) {
     let radiance = scenes::smooth_light(192);
     let lights = scenes::lights(backend, scene, &radiance);
-    assert!(!lights.slots.is_empty());
+    assert!(!lights.is_empty());
     backend.set_tbl(&radiance, &lights).unwrap();
 }
 
@@ -265,7 +265,7 @@ fn misuse_is_an_error() {
     backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
     let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
     assert!(none.contains("samples"), "{none}");
-    let foreign = Lights { density: vec![0.0; 3], ..dark.clone() };
+    let foreign = Lights { density: vec![LightDensity::default(); 3], ..dark.clone() };
     let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
     assert!(foreign.contains("another mesh"), "{foreign}");
     let (pixels, materials) = shading(&points);

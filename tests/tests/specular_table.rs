@@ -9,7 +9,7 @@ use texir_core::cpu::CpuBackend;
 use texir_core::cpu::shade::{MaterialIn, shade};
 use texir_core::cpu::specular_table::specular_table;
 use texir_core::cpu::trace::{Exhaustive, Lighting};
-use texir_core::lights::{AliasSlot, Lights};
+use texir_core::lights::Lights;
 use texir_core::mesh::Mesh;
 use texir_core::progress::Silent;
 use texir_core::raster::Rgb;
@@ -31,13 +31,9 @@ fn box_with_lamp() -> Mesh {
 
 /// The lamp's two triangles, drawn with equal probability.
 fn lamp(mesh: &Mesh) -> Lights {
-    let first = mesh.triangles.len() as u32 - 2;
-    let mut lights = Lights::none(mesh);
-    for triangle in [first, first + 1] {
-        lights.slots.push(AliasSlot { triangle, alias: triangle, keep: 1.0, pad: 0.0 });
-        lights.density[triangle as usize] = 100.0;
-    }
-    lights
+    let first = mesh.triangles.len() - 2;
+    let luminance: Vec<f32> = (0..mesh.triangles.len()).map(|t| f32::from(u8::from(t >= first))).collect();
+    Lights::by_power(mesh, &luminance)
 }
 
 /// Radiance 0.1 everywhere but on the lamp, whose chart is the seventh of the atlas's first row of twelve.
@@ -189,7 +185,7 @@ fn wgsl_and_twin_agree() {
     let radiance = scenes::smooth_light(192);
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
     let lights = scenes::lights(&mut backend, &scene, &radiance);
-    assert!(!lights.slots.is_empty());
+    assert!(!lights.is_empty());
     let pixels = pixels(&scene, &mut backend, 41);
     let exact = Exhaustive(&scene.mesh);
     let lighting = Lighting { tracer: &exact, radiance: &radiance };

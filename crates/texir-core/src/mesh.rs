@@ -37,6 +37,18 @@ impl Mesh {
         (b - a).cross(c - a).normalize_or_zero()
     }
 
+    /// Area, m².
+    pub fn area(&self, triangle: u32) -> f32 {
+        let [a, b, c] = self.corners(triangle);
+        0.5 * (b - a).cross(c - a).length()
+    }
+
+    /// Mean of the corners.
+    pub fn centre(&self, triangle: u32) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        (a + b + c) / 3.0
+    }
+
     /// Axis-aligned bounds `(min, max)`.
     pub fn bounds(&self) -> (Vec3, Vec3) {
         self.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p), hi.max(p)))

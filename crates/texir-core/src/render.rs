@@ -94,7 +94,7 @@ impl<'a> Renderer<'a> {
     /// spends about `rays` rays on those of a pixel, 96 at least.
     pub fn new(backend: &'a mut dyn Backend, scene: &'a Scene, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
         let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
-        backend.set_tbl(radiance, &Lights::find(&scene.mesh, &atlas, radiance))?;
+        backend.set_tbl(radiance, &Lights::find(scene, &atlas, radiance))?;
         let sampling = TableSampling::of_rays(rays / STRATUM.len() as u32, seed);
         Ok(Self { backend, scene, sampling, pyramids: Vec::new() })
     }

@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut backend = GpuBackend::new(&gpu, &scene)?;
     let atlas = Atlas::new(&mut backend, &scene, SIZE, SIZE)?;
     let radiance = emitted(&atlas);
-    backend.set_tbl(&radiance, &Lights::find(&scene.mesh, &atlas, &radiance))?;
+    backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance))?;
 
     let gather = Gather { cosine: 64, light: 64, seed: 1 };
     let console = Console::default();

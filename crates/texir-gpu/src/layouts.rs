@@ -3,6 +3,7 @@
 use std::mem::offset_of;
 
 use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, ShadePoint, Shaded};
+use texir_core::lights::LightDensity;
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
 
@@ -17,7 +18,7 @@ use crate::pass::shade::ShadeParams;
 use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
-use crate::scene::LightSlot;
+use crate::scene::{LightGrid, LightTriangle};
 use crate::wgsl::{RoughnessVariant, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -59,7 +60,9 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
-        ("irradiance", "LightSlot", host!(LightSlot { primitive, alternative, keep })),
+        ("irradiance", "LightTriangle", host!(LightTriangle { primitive, cumulative })),
+        ("irradiance", "LightDensity", host!(LightDensity { per_area, cluster })),
+        ("irradiance", "LightGrid", host!(LightGrid { origin, per_metre, size, clusters })),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),
         ("group_loss", "GroupLossParams", host!(GroupLossParams { channels, quantile, jobs, share })),
@@ -73,9 +76,9 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 end_sample,
                 cosine_samples,
                 light_samples,
-                slots,
                 seed,
-                step
+                cosine_step,
+                light_step
             }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),
@@ -107,7 +110,6 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 lobe_samples,
                 cosine_samples,
                 light_samples,
-                slots,
                 seed,
                 lobes,
                 nodes,

@@ -7,7 +7,7 @@ use texir_core::lights::Lights;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
-use crate::buffer::{View, keep};
+use crate::buffer::{View, keep, uniform};
 use crate::gpu::Gpu;
 
 /// Columns of a texture that holds an array; `fetch_texture.wgsl` has the same number.
@@ -116,33 +116,44 @@ impl Geometry {
     }
 }
 
-/// One slot of the alias table as `shared/light_sampling.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
+/// As `shared/light_sampling.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-pub(crate) struct LightSlot {
+pub(crate) struct LightTriangle {
     pub primitive: u32,
-    pub alternative: u32,
-    pub keep: f32,
-    pub pad: f32,
+    pub cumulative: f32,
+}
+
+/// As `shared/light_sampling.wgsl` has it.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct LightGrid {
+    pub origin: [f32; 3],
+    pub per_metre: f32,
+    pub size: [u32; 3],
+    pub clusters: u32,
 }
 
 /// The texture-based lighting and the lights in it.
 pub(crate) struct Lighting {
     /// Outgoing radiance.
     tbl: wgpu::TextureView,
-    /// Alias table over the lights, by primitive of the hierarchy.
-    pub light_slots: View,
-    /// Its number of entries.
-    pub slots: u32,
-    /// Density per area of the table's draws, per primitive.
-    pub light_density: View,
+    light_triangles: View,
+    /// Per primitive of the hierarchy.
+    light_density: View,
+    light_clusters: View,
+    light_tables: View,
+    light_cells: View,
+    light_grid: View,
+    /// Clusters of lights; 0 without lights.
+    pub clusters: usize,
 }
 
 impl Lighting {
     pub fn new(gpu: &Gpu, scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<Self> {
         let order = &scene.bvh.primitive_indices;
         let triangles = scene.mesh.triangles.len();
-        let known = lights.slots.iter().all(|s| (s.triangle as usize) < triangles && (s.alias as usize) < triangles);
+        let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
         if lights.density.len() != triangles || !known {
             return Err(Error::invalid(format!(
                 "the lights are those of another mesh: {} densities, {triangles} triangles",
@@ -153,22 +164,39 @@ impl Lighting {
         for (primitive, &triangle) in order.iter().enumerate() {
             primitive_of[triangle as usize] = primitive as u32;
         }
-        let primitive = |t: u32| primitive_of[t as usize];
-        let slots: Vec<LightSlot> = (lights.slots.iter())
-            .map(|s| LightSlot {
-                primitive: primitive(s.triangle),
-                alternative: primitive(s.alias),
-                keep: s.keep,
-                pad: 0.0,
-            })
+        let light_triangles: Vec<LightTriangle> = (lights.triangles.iter())
+            .map(|l| LightTriangle { primitive: primitive_of[l.triangle as usize], cumulative: l.cumulative })
             .collect();
-        let density: Vec<f32> = order.iter().map(|&t| lights.density[t as usize]).collect();
+        let density: Vec<_> = order.iter().map(|&t| lights.density[t as usize]).collect();
+        let clusters = lights.clusters.len() - 1;
+        let grid = LightGrid {
+            origin: lights.grid.origin.to_array(),
+            per_metre: lights.grid.per_metre,
+            size: lights.grid.size,
+            clusters: clusters as u32,
+        };
         Ok(Self {
             tbl: tbl_texture(gpu, radiance)?,
-            light_slots: keep(gpu, "light slots", &slots)?,
-            slots: slots.len() as u32,
+            light_triangles: keep(gpu, "light triangles", &light_triangles)?,
             light_density: keep(gpu, "light densities", &density)?,
+            light_clusters: keep(gpu, "light clusters", &lights.clusters)?,
+            light_tables: keep(gpu, "light tables", &lights.tables)?,
+            light_cells: keep(gpu, "light cells", &lights.grid.tables)?,
+            light_grid: uniform(gpu, &grid),
+            clusters,
         })
+    }
+
+    /// What passes bind that sample the lights.
+    pub fn lights(&self) -> [(&'static str, wgpu::BindingResource<'_>); 6] {
+        [
+            ("light_triangles", self.light_triangles.binding()),
+            ("light_density", self.light_density.binding()),
+            ("light_clusters", self.light_clusters.binding()),
+            ("light_tables", self.light_tables.binding()),
+            ("light_cells", self.light_cells.binding()),
+            ("light_grid", self.light_grid.binding()),
+        ]
     }
 }
 

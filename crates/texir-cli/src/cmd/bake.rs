@@ -78,7 +78,7 @@ impl Bake {
         let (width, height) = self.size.map_or(radiance.size(), |side| (side, side));
         let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
         let shining = Atlas::new(backend.as_mut(), &scene, radiance.width, radiance.height)?;
-        let lights = Lights::find(&scene.mesh, &shining, &radiance);
+        let lights = Lights::find(&scene, &shining, &radiance);
         backend.set_tbl(&radiance, &lights)?;
         let light = if self.cosine_only { 0 } else { self.spp / 2 };
         let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };

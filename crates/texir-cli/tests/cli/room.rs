@@ -232,7 +232,7 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
     let albedo = texels.map(|paint| paint.map_or([0.0; 3], |p| p.albedo));
     let roughness = texels.map(|paint| paint.map_or(1.0, |p| p.roughness));
     let emission = texels.map(|paint| paint.map_or([0.0; 3], |p| p.emission));
-    let lights = Lights::find(&scene.mesh, &atlas, &emission);
+    let lights = Lights::find(scene, &atlas, &emission);
     let mut irradiance = Rgb::filled(ATLAS, ATLAS, [0.0; 3]);
     for bounce in 0..BOUNCES {
         let radiance = outgoing(&albedo, &irradiance, &emission);

@@ -7,7 +7,7 @@ use crate::brdf::basis;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
-use crate::rng::{fibonacci_step, fibonacci2, hash2, sobol2};
+use crate::rng::{fibonacci_step, fibonacci2, hash2};
 use crate::surface::SurfacePoint;
 
 /// A cosine-distributed unit direction around +Z, density cosθ/π.
@@ -19,8 +19,7 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
 /// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Fibonacci lattice of n_c points,
-/// shifted by two hashes of `hash2(seed, index)`; light sample i is point i of the Sobol sequence of that hashed with 1, its
-/// slot of that hashed with 2.
+/// shifted by two hashes of `hash2(seed, index)`, light sample i point i of another of n_l points.
 ///
 /// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
 /// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.
@@ -35,7 +34,8 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
     let (tangent, bitangent) = basis(normal);
     let seed = hash2(gather.seed, index);
-    let light_samples = if lights.slots.is_empty() { 0 } else { gather.light };
+    let light_samples = if lights.is_empty() { 0 } else { gather.light };
+    let table = lights.table(point.position.into(), point.normal.into());
     let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));
     let (mut sum, mut behind) = (V3::zero(), 0u32);
 
@@ -46,16 +46,16 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
         let back = is_back_face(mesh, &hit, direction);
         behind += u32::from(back);
-        if back && lights.density[hit.triangle as usize] > 0.0 {
+        if back && lights.density[hit.triangle as usize].per_area > 0.0 {
             continue;
         }
-        let density =
-            n_cosine * z * R::of(std::f64::consts::FRAC_1_PI) + n_light * light_density(mesh, lights, &hit, direction);
+        let density = n_cosine * z * R::of(std::f64::consts::FRAC_1_PI)
+            + n_light * light_density(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (z / density);
     }
+    let (step, offset) = (fibonacci_step(gather.light), [hash2(seed, 1), hash2(seed, 2)]);
     for i in 0..light_samples {
-        let choice = sobol2(i, hash2(seed, 2))[0];
-        let (triangle, target) = light_point(mesh, lights, choice, sobol2(i, hash2(seed, 1)));
+        let (triangle, target) = light_point(mesh, lights, table, fibonacci2(i, step, offset));
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
@@ -63,7 +63,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             continue;
         }
         let density = n_cosine * cosine * R::of(std::f64::consts::FRAC_1_PI)
-            + n_light * light_density(mesh, lights, &hit, direction);
+            + n_light * light_density(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (cosine / density);
     }
     Gathered { irradiance: sum.to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }

@@ -21,13 +21,14 @@ pub fn specular_table<R: Real, T: Trace<R>>(
     sampling: TableSampling,
 ) -> [V3<R>; NODES] {
     let seed = hash2(sampling.seed, strata[0].sequence);
-    let sampling = TableSampling { light: if lights.slots.is_empty() { 0 } else { sampling.light }, ..sampling };
+    let sampling = TableSampling { light: if lights.is_empty() { 0 } else { sampling.light }, ..sampling };
     let mut sums = [V3::zero(); NODES];
     let nodes: [R; NODES] = std::array::from_fn(|k| R::of(f64::from(node(k))));
     for (stratum, point) in strata.iter().enumerate() {
         let nv = V3::<R>::of(point.normal).dot(V3::of(point.view)).max(R::of(0.0)).min(R::of(1.0));
         let seen = nodes.map(|r| masking(nv, r) * R::of(0.25));
-        let drawn = Drawn { lighting, lights, point, sampling, nodes: &nodes, seen: &seen };
+        let table = lights.table(point.position.into(), point.normal.into());
+        let drawn = Drawn { lighting, lights, table, point, sampling, nodes: &nodes, seen: &seen };
         let sequence = |technique: usize, samples: u32| {
             let first = stratum as u32 * samples;
             (first..first + samples).map(move |i| (i, hash2(seed, technique as u32)))
@@ -44,8 +45,7 @@ pub fn specular_table<R: Real, T: Trace<R>>(
             drawn.add(tangent * x + bitangent * y + normal * z, None, &mut sums);
         }
         for (i, seed) in sequence(LOBES.len() + 1, sampling.light) {
-            let choice = sobol2(i, hash2(seed, 1))[0];
-            let (triangle, target) = light_point(lighting.tracer.mesh(), lights, choice, sobol2(i, seed));
+            let (triangle, target) = light_point(lighting.tracer.mesh(), lights, table, sobol2(i, seed));
             drawn.add((target - V3::of(point.position)).normalize(), Some(triangle), &mut sums);
         }
     }
@@ -56,6 +56,8 @@ pub fn specular_table<R: Real, T: Trace<R>>(
 struct Drawn<'a, R, T> {
     lighting: &'a Lighting<'a, T>,
     lights: &'a Lights,
+    /// Of the lights, at this point.
+    table: &'a [f32],
     point: &'a ShadePoint,
     sampling: TableSampling,
     /// Roughness of every node.
@@ -111,7 +113,8 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
         let lobes = LOBES.iter().map(|&r| lobe.pdf(R::of(f64::from(r)))).fold(R::of(0.0), |sum, p| sum + p);
         n(self.sampling.lobe) * lobes
             + n(self.sampling.cosine) * lobe.nl * R::of(std::f64::consts::FRAC_1_PI)
-            + n(self.sampling.light) * light_density(self.lighting.tracer.mesh(), self.lights, hit, direction)
+            + n(self.sampling.light)
+                * light_density(self.lighting.tracer.mesh(), self.lights, self.table, hit, direction)
     }
 }
 

@@ -291,8 +291,8 @@ fn light_samples_change_the_noise_and_not_the_mean() {
             *texel = [5.0 + (i % 3) as f32; 3];
         }
     }
-    let lights = Lights::find(&scene.mesh, &atlas, &tbl);
-    assert_eq!(lights.slots.len(), 2);
+    let lights = Lights::find(&scene, &atlas, &tbl);
+    assert_eq!(lights.triangles.len(), 2);
     backend.set_tbl(&tbl, &lights).unwrap();
     let mut gather = |cosine, light, seed| -> Vec<f64> {
         let all = backend.irradiance(&atlas.points, Gather { cosine, light, seed }, &Silent).unwrap();

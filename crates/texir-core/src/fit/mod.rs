@@ -122,7 +122,7 @@ pub fn fit(
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
-    let lights = Lights::find(&scene.mesh, &atlas, &tbl.radiance);
+    let lights = Lights::find(scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
     let gather = Gather {
         cosine: settings.irradiance_samples - settings.irradiance_samples / 2,

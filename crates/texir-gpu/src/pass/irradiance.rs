@@ -24,9 +24,9 @@ pub(crate) struct IrradianceParams {
     pub end_sample: u32,
     pub cosine_samples: u32,
     pub light_samples: u32,
-    pub slots: u32,
     pub seed: u32,
-    pub step: u32,
+    pub cosine_step: u32,
+    pub light_step: u32,
 }
 
 struct Irradiance<'a> {
@@ -70,19 +70,15 @@ impl Gathering for Irradiance<'_> {
             end_sample: samples.end,
             cosine_samples: self.gather.cosine,
             light_samples: self.gather.light,
-            slots: self.lighting.slots,
             seed: self.gather.seed,
-            step: fibonacci_step(self.gather.cosine),
+            cosine_step: fibonacci_step(self.gather.cosine),
+            light_step: fibonacci_step(self.gather.light),
         });
-        let own = [
-            ("params", params.binding()),
-            ("points", batch.points.binding()),
-            ("light_slots", self.lighting.light_slots.binding()),
-            ("light_density", self.lighting.light_density.binding()),
-            ("gathered", batch.gathered.binding()),
-        ];
+        let own =
+            [("params", params.binding()), ("points", batch.points.binding()), ("gathered", batch.gathered.binding())];
         let kernel = &self.kernels[technique];
-        let groups = kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let groups = kernel
+            .bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat())?;
         let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
@@ -107,7 +103,7 @@ pub(crate) fn run(
     let kernels =
         [ctx.kernel("irradiance", "gather_cosine", lanes)?, ctx.kernel("irradiance", "gather_lights", lanes)?];
     // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
-    let gather = Gather { light: if lighting.slots == 0 { 0 } else { gather.light }, ..gather };
+    let gather = Gather { light: if lighting.clusters == 0 { 0 } else { gather.light }, ..gather };
     let out = Vec::with_capacity(points.len());
     let mut pass = Irradiance { kernels, geometry, lighting, points, gather, shape, out };
     ctx.gather(points.len(), [gather.cosine, gather.light], shape, progress, &mut pass)?;

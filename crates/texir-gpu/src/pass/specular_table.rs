@@ -30,8 +30,8 @@ pub(crate) struct SpecularTableParams {
     pub lobe_samples: u32,
     pub cosine_samples: u32,
     pub light_samples: u32,
-    pub slots: u32,
     pub seed: u32,
+    pub pad: u32,
     pub lobes: [f32; 8],
     pub nodes: [f32; NODES],
 }
@@ -79,20 +79,16 @@ impl Gathering for SpecularTable<'_> {
             lobe_samples: self.sampling.lobe,
             cosine_samples: self.sampling.cosine,
             light_samples: self.sampling.light,
-            slots: self.lighting.slots,
             seed: self.sampling.seed,
+            pad: 0,
             lobes: from_fn(|lobe| LOBES.get(lobe).copied().unwrap_or(0.0)),
             nodes: from_fn(node),
         });
-        let own = [
-            ("params", params.binding()),
-            ("pixels", batch.pixels.binding()),
-            ("light_slots", self.lighting.light_slots.binding()),
-            ("light_density", self.lighting.light_density.binding()),
-            ("tables", batch.tables.binding()),
-        ];
+        let own =
+            [("params", params.binding()), ("pixels", batch.pixels.binding()), ("tables", batch.tables.binding())];
         let kernel = &self.kernels[technique];
-        let groups = kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let groups = kernel
+            .bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat())?;
         let workgroups = items.len().div_ceil(SHAPE.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
@@ -115,7 +111,7 @@ pub(crate) fn run(
 ) -> Result<Vec<Curve>> {
     // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
     let asked = sampling.rays();
-    let sampling = TableSampling { light: if lighting.slots == 0 { 0 } else { sampling.light }, ..sampling };
+    let sampling = TableSampling { light: if lighting.clusters == 0 { 0 } else { sampling.light }, ..sampling };
     let [lobes, cosine, lights] =
         TECHNIQUES.map(|t| ctx.kernel("specular_table", "specular_table", Some(("TECHNIQUE", t))));
     let samples = [LOBES.len() as u32 * sampling.lobe, sampling.cosine, sampling.light].map(|n| STRATA as u32 * n);

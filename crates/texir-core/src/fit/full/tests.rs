@@ -63,7 +63,7 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
     let (scene, radiance) = room();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, 2 * FLOOR, FLOOR).unwrap();
-    let lights = Lights::find(&scene.mesh, &atlas, &radiance);
+    let lights = Lights::find(&scene, &atlas, &radiance);
     backend.set_tbl(&radiance, &lights).unwrap();
     let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();
     let gather = Gather { cosine: 1024, light: 1024, seed: 3 };

@@ -1,0 +1,207 @@
+//! Light sources of a TBL as a sampled set: the triangles that shine, in clusters whose share of the samples depends on
+//! where the sampled light arrives.
+//!
+//! The scene's surface is cut into cells, by position and by the way it faces. Each has a table over the clusters, learned
+//! from a few shadow rays ([`learn`]), so that samples do not go to lamps of other rooms. Any set and any tables give an
+//! unbiased gather: what they leave out is found by the cosine samples, and the balance heuristic weighs both.
+
+mod cluster;
+mod learn;
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+
+use crate::atlas::Atlas;
+use crate::mesh::Mesh;
+use crate::raster::Rgb;
+use crate::scene::Scene;
+
+/// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct light
+/// of a smaller contrast is found well enough by cosine samples.
+const CONTRAST: f32 = 3.0;
+
+/// A sampled triangle.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct LightTriangle {
+    /// Index in the mesh.
+    pub triangle: u32,
+    /// Probability, within the cluster, of this triangle and those before it.
+    pub cumulative: f32,
+}
+
+/// How densely a mesh triangle is sampled.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct LightDensity {
+    /// Density, per square metre, of points on the triangle once its cluster is chosen; 0 for what is no light.
+    pub per_area: f32,
+    /// The triangle's cluster; 0 for what is no light.
+    pub cluster: u32,
+}
+
+/// Which table belongs to which part of the surface: cubic cells times six facings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LightGrid {
+    /// The smallest corner of the first cell, metres.
+    pub origin: Vec3,
+    /// Cells per metre: 1 / their edge.
+    pub per_metre: f32,
+    /// Cells along each axis.
+    pub size: [u32; 3],
+    /// Per cell (x fastest) and facing, six to a cell: the number of its table. 0, the table for everywhere, where nothing
+    /// was learned.
+    pub tables: Vec<u32>,
+}
+
+/// The sampled light sources of one TBL.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lights {
+    /// The triangles that shine, cluster by cluster; empty when nothing stands out.
+    pub triangles: Vec<LightTriangle>,
+    /// The first of each cluster's triangles, and at last their number.
+    pub clusters: Vec<u32>,
+    /// Per mesh triangle.
+    pub density: Vec<LightDensity>,
+    /// Where which table holds.
+    pub grid: LightGrid,
+    /// Tables of a number per cluster: the probability of it and those before it. The first is by power alone.
+    pub tables: Vec<f32>,
+}
+
+impl Lights {
+    /// No lights: a gather that samples the cosine alone.
+    pub fn none(mesh: &Mesh) -> Self {
+        let grid = LightGrid { origin: Vec3::ZERO, per_metre: 0.0, size: [0; 3], tables: Vec::new() };
+        let density = vec![LightDensity::default(); mesh.triangles.len()];
+        Self { triangles: Vec::new(), clusters: vec![0], density, grid, tables: Vec::new() }
+    }
+
+    /// The triangles that stand out in `radiance`, sampled where they are seen. `atlas` has the size of `radiance`.
+    pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Self {
+        let mesh = &scene.mesh;
+        let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
+        let mut luminance = mean_luminance(mesh, atlas, radiance);
+        let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();
+        let total: f64 = luminance.iter().zip(&area).map(|(&l, &a)| f64::from(l * a)).sum();
+        let threshold = CONTRAST * (total / total_area) as f32;
+        luminance.iter_mut().filter(|l| !(**l > threshold)).for_each(|l| *l = 0.0);
+        let lights = Self::by_power(mesh, &luminance);
+        learn::learn(lights, scene, &atlas.points)
+    }
+
+    /// The triangles whose `luminance` (one number per mesh triangle) is above 0, sampled in proportion to luminance × area
+    /// everywhere.
+    pub fn by_power(mesh: &Mesh, luminance: &[f32]) -> Self {
+        let power = |t: u32| luminance[t as usize] * mesh.area(t);
+        let shining = (0..mesh.triangles.len() as u32).filter(|&t| power(t) > 0.0 && power(t).is_finite()).collect();
+        let mut lights = Self::none(mesh);
+        let mut powers = Vec::new();
+        for cluster in cluster::clusters(mesh, shining, &power) {
+            let weights: Vec<f32> = cluster.iter().map(|&t| power(t)).collect();
+            let sum: f32 = weights.iter().sum();
+            for (&triangle, cumulative) in cluster.iter().zip(cumulative(&weights)) {
+                let per_area = luminance[triangle as usize] / sum;
+                lights.density[triangle as usize] = LightDensity { per_area, cluster: powers.len() as u32 };
+                lights.triangles.push(LightTriangle { triangle, cumulative });
+            }
+            lights.clusters.push(lights.triangles.len() as u32);
+            powers.push(sum);
+        }
+        lights.tables = cumulative(&powers);
+        lights
+    }
+
+    /// Whether there is nothing to sample.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// The table for light that arrives at a point of the surface with this normal.
+    pub fn table(&self, position: Vec3, normal: Vec3) -> &[f32] {
+        let clusters = self.clusters.len() - 1;
+        let number = self.grid.cell(position, normal).map_or(0, |cell| self.grid.tables[cell]);
+        &self.tables[number as usize * clusters..][..clusters]
+    }
+
+    /// A cluster's share of the power of all lights.
+    fn power(&self, cluster: usize) -> f32 {
+        self.tables[cluster] - if cluster > 0 { self.tables[cluster - 1] } else { 0.0 }
+    }
+
+    /// The triangle of `cluster` at `u` of its cumulative probability, and how far `u` lies within the triangle's share.
+    pub fn triangle(&self, cluster: usize, u: f32) -> (u32, f32) {
+        let members = &self.triangles[self.clusters[cluster] as usize..self.clusters[cluster + 1] as usize];
+        let (i, rest) = invert(members.len(), |i| members[i].cumulative, u);
+        (members[i].triangle, rest)
+    }
+}
+
+impl LightGrid {
+    /// Index of the cell and facing of a point of the surface.
+    fn cell(&self, position: Vec3, normal: Vec3) -> Option<usize> {
+        let [x, y, z] = ((position - self.origin) * self.per_metre).floor().to_array();
+        let inside = |q: f32, size: u32| q >= 0.0 && q < size as f32;
+        let [nx, ny, nz] = self.size;
+        let cell = || (z as usize * ny as usize + y as usize) * nx as usize + x as usize;
+        (inside(x, nx) && inside(y, ny) && inside(z, nz)).then(|| 6 * cell() + facing(normal))
+    }
+}
+
+/// Which of the six axis directions a normal is nearest to.
+fn facing(normal: Vec3) -> usize {
+    let [x, y, z] = normal.abs().to_array();
+    let axis = if x > y && x > z { 0 } else { 1 + usize::from(z >= y) };
+    2 * axis + usize::from(normal[axis] < 0.0)
+}
+
+/// The item at `u` in [0, 1) of cumulative probabilities, and how far `u` lies within its share, in [0, 1): what is left of
+/// a number that chose an item is still uniform, so that well-spread points stay so within each item.
+pub fn invert(items: usize, cumulative: impl Fn(usize) -> f32, u: f32) -> (usize, f32) {
+    let (mut low, mut high) = (0, items - 1);
+    while low < high {
+        let middle = (low + high) / 2;
+        if cumulative(middle) <= u {
+            low = middle + 1;
+        } else {
+            high = middle;
+        }
+    }
+    let before = if low > 0 { cumulative(low - 1) } else { 0.0 };
+    (low, ((u - before) / (cumulative(low) - before)).clamp(0.0, BELOW_ONE))
+}
+
+/// The largest number below 1 with 24 bits.
+const BELOW_ONE: f32 = 1.0 - 1.0 / 16_777_216.0;
+
+/// Running sums of weights over their total; 1 from the last weight above 0 on, whatever was rounded.
+fn cumulative(weights: &[f32]) -> Vec<f32> {
+    let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
+    let last = weights.iter().rposition(|&w| w > 0.0).unwrap_or(0);
+    let mut sum = 0.0;
+    let up_to = |(i, &weight): (usize, &f32)| {
+        sum += f64::from(weight);
+        if i < last { (sum / total) as f32 } else { 1.0 }
+    };
+    weights.iter().enumerate().map(up_to).collect()
+}
+
+/// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.
+fn mean_luminance(mesh: &Mesh, atlas: &Atlas, radiance: &Rgb) -> Vec<f32> {
+    let luminance = |c: &[f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+    let (mut sum, mut count) = (vec![0.0f32; mesh.triangles.len()], vec![0u32; mesh.triangles.len()]);
+    for (texel, point) in atlas.texels.iter().zip(&atlas.points) {
+        sum[point.triangle as usize] += luminance(&radiance.data[*texel as usize]);
+        count[point.triangle as usize] += 1;
+    }
+    let centre = |t: u32| {
+        let [a, b, c] = mesh.corner_uvs(t);
+        let uv = (a + b + c) / 3.0;
+        let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
+        luminance(radiance.at(texel(uv.x, radiance.width), texel(uv.y, radiance.height)))
+    };
+    (0u32..).zip(sum.iter().zip(&count)).map(|(t, (s, &n))| if n > 0 { s / n as f32 } else { centre(t) }).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,209 @@
+use std::f64::consts::PI;
+
+use glam::Vec2;
+
+use super::*;
+use crate::backend::{Backend, Gather};
+use crate::cpu::CpuBackend;
+use crate::progress::Silent;
+use crate::surface::SurfacePoint;
+
+/// Quads in an atlas of `n × n` charts; the first ones of its last row shine.
+struct Quads {
+    mesh: Mesh,
+    charts: usize,
+}
+
+impl Quads {
+    fn new(charts: usize) -> Self {
+        Self { mesh: Mesh::default(), charts }
+    }
+
+    /// A parallelogram that faces `s × t`, in the given chart.
+    fn add(&mut self, chart: usize, corner: Vec3, s: Vec3, t: Vec3) {
+        let base = self.mesh.positions.len() as u32;
+        let at = Vec2::new((chart % self.charts) as f32, (chart / self.charts) as f32);
+        for (a, b) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            self.mesh.positions.push(corner + s * a + t * b);
+            self.mesh.normals.push(s.cross(t).normalize());
+            self.mesh.uvs.push((at + 0.1 + 0.8 * Vec2::new(a, b)) / self.charts as f32);
+        }
+        self.mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+    }
+}
+
+const SIDE: usize = 32;
+
+/// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling.
+fn two_rooms() -> (Scene, Rgb) {
+    let mut q = Quads::new(4);
+    let (x, y, z) = (2.0 * Vec3::X, 2.0 * Vec3::Y, 2.0 * Vec3::Z);
+    q.add(0, Vec3::ZERO, 2.0 * x, y);
+    q.add(1, z, y, 2.0 * x);
+    q.add(2, Vec3::ZERO, y, z);
+    q.add(3, 2.0 * x, z, y);
+    q.add(4, Vec3::ZERO, z, 2.0 * x);
+    q.add(5, y, 2.0 * x, z);
+    q.add(6, x - 0.01 * Vec3::X, z, y);
+    q.add(7, x + 0.01 * Vec3::X, y, z);
+    q.add(12, Vec3::new(0.8, 0.8, 1.9), 0.4 * Vec3::Y, 0.4 * Vec3::X);
+    q.add(13, Vec3::new(2.8, 0.8, 1.9), 0.4 * Vec3::Y, 0.4 * Vec3::X);
+    let radiance = Rgb { width: SIDE, height: SIDE, data: vec![[0.0; 3]; SIDE * SIDE] };
+    let shining = |i: usize| i / SIDE >= SIDE * 3 / 4;
+    let data = (0..SIDE * SIDE).map(|i| if shining(i) { [1.0, 2.0, 3.0] } else { [0.0; 3] }).collect();
+    (Scene::new(q.mesh).unwrap(), Rgb { data, ..radiance })
+}
+
+fn atlas(scene: &Scene) -> Atlas {
+    Atlas::new(&mut CpuBackend::new(scene), scene, SIDE, SIDE).unwrap()
+}
+
+/// A point of the floor.
+fn on_floor(x: f32, y: f32) -> SurfacePoint {
+    SurfacePoint { position: [x, y, 1e-4], triangle: 0, normal: [0.0, 0.0, 1.0], pad: 0.0 }
+}
+
+/// Share of the directions above (x, y), by the cosine, that see a horizontal rectangle `h` higher (Siegel and Howell,
+/// "Thermal Radiation Heat Transfer", factor of a plane element to a parallel rectangle, for each of its corners).
+fn form_factor([x, y]: [f64; 2], low: [f64; 2], high: [f64; 2], h: f64) -> f64 {
+    let corner = |a: f64, b: f64| {
+        let (a, b) = (a / h, b / h);
+        let (p, q) = ((1.0 + a * a).sqrt(), (1.0 + b * b).sqrt());
+        (a / p * (b / p).atan() + b / q * (a / q).atan()) / (2.0 * PI)
+    };
+    let [x0, x1, y0, y1] = [low[0] - x, high[0] - x, low[1] - y, high[1] - y];
+    corner(x1, y1) - corner(x0, y1) - corner(x1, y0) + corner(x0, y0)
+}
+
+/// Mean and relative standard deviation of E over seeds at a point.
+fn gathered(backend: &mut dyn Backend, point: &SurfacePoint, cosine: u32, light: u32) -> (f64, f64) {
+    // A point's samples follow its index.
+    let points = vec![*point; 20_000];
+    let all = backend.irradiance(&points, Gather { cosine, light, seed: 1 }, &Silent).unwrap();
+    let n = all.len() as f64;
+    let e = || all.iter().map(|g| f64::from(g.irradiance[0]));
+    let mean = e().sum::<f64>() / n;
+    (mean, (e().map(|e| (e / mean - 1.0).powi(2)).sum::<f64>() / n).sqrt())
+}
+
+#[test]
+fn a_rectangle_shines_as_its_form_factor_says() {
+    let (scene, radiance) = two_rooms();
+    let mut lights = Lights::find(&scene, &atlas(&scene), &radiance);
+    let mut backend = CpuBackend::new(&scene);
+    for point in [on_floor(1.0, 1.0), on_floor(0.3, 1.6)] {
+        let [x, y, _] = point.position.map(f64::from);
+        let expected = PI * form_factor([x, y], [0.8, 0.8], [1.2, 1.2], 1.9 - 1e-4);
+        backend.set_tbl(&radiance, &lights).unwrap();
+        let (mean, deviation) = gathered(&mut backend, &point, 4, 12);
+        assert!((mean / expected - 1.0).abs() < 5e-3, "{mean} for {expected}");
+        backend.set_tbl(&radiance, &Lights { grid: Lights::none(&scene.mesh).grid, ..lights.clone() }).unwrap();
+        let (mean, by_power) = gathered(&mut backend, &point, 4, 12);
+        assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by power");
+        assert!(deviation < 0.6 * by_power, "{deviation} with tables, {by_power} by power");
+    }
+    // Tables that all but rule out the lamp of this room change the noise, not the mean.
+    let clusters = lights.clusters.len() - 1;
+    let lamp = |c: usize| scene.mesh.centre(lights.triangle(c, 0.0).0).x < 2.0;
+    let unwise: Vec<f32> = (0..clusters).map(|c| if lamp(c) { 1e-3 } else { 1.0 }).collect();
+    let unwise = cumulative(&unwise).repeat(lights.tables.len() / clusters);
+    lights.tables = unwise;
+    backend.set_tbl(&radiance, &lights).unwrap();
+    let expected = PI * form_factor([1.0, 1.0], [0.8, 0.8], [1.2, 1.2], 1.9 - 1e-4);
+    let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 32, 8);
+    assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by an unwise table");
+    // Negative control: a density that is not the draws' own is a bias that this test sees.
+    lights.density.iter_mut().for_each(|d| d.per_area *= 3.0);
+    backend.set_tbl(&radiance, &lights).unwrap();
+    let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 1, 8);
+    let wrong = (mean / expected - 1.0).abs();
+    assert!(wrong > 1e-2, "{mean} for {expected}");
+}
+
+#[test]
+fn a_room_is_lit_by_its_own_lamp() {
+    let (scene, radiance) = two_rooms();
+    let lights = Lights::find(&scene, &atlas(&scene), &radiance);
+    assert_eq!(lights.triangles.len(), 4);
+    let share = |point: SurfacePoint, left: bool| -> f32 {
+        let table = lights.table(point.position.into(), point.normal.into());
+        let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
+        let here = |c: &usize| (scene.mesh.centre(lights.triangle(*c, 0.0).0).x < 2.0) == left;
+        (0..table.len()).filter(here).map(of).sum()
+    };
+    assert!(share(on_floor(1.0, 1.0), true) > 0.95);
+    assert!(share(on_floor(3.0, 1.0), false) > 0.95);
+    // A cell that nothing was learned for, here outside the grid, has the table by power.
+    assert!((share(on_floor(-50.0, 1.0), true) - 0.5).abs() < 1e-3);
+}
+
+#[test]
+fn every_table_is_a_density() {
+    let (scene, radiance) = two_rooms();
+    let lights = Lights::find(&scene, &atlas(&scene), &radiance);
+    let clusters = lights.clusters.len() - 1;
+    assert!(lights.tables.len() > 10 * clusters);
+    for table in lights.tables.chunks(clusters) {
+        let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
+        let total: f32 = (0..scene.mesh.triangles.len() as u32)
+            .map(|t| (t, lights.density[t as usize]))
+            .filter(|(_, density)| density.per_area > 0.0)
+            .map(|(t, density)| of(density.cluster as usize) * density.per_area * scene.mesh.area(t))
+            .sum();
+        assert!((total - 1.0).abs() < 1e-5, "{total}");
+    }
+}
+
+#[test]
+fn inverting_draws_in_proportion_and_leaves_a_uniform_rest() {
+    let weights = [0.1, 2.0, 0.0, 0.7, 1.2, 0.0];
+    let cumulative = cumulative(&weights);
+    assert_eq!(cumulative[4..], [1.0, 1.0]);
+    const N: u32 = 100_000;
+    let (mut count, mut rest) = ([0.0f32; 6], [0.0f32; 6]);
+    for i in 0..N {
+        let (item, r) = invert(6, |i| cumulative[i], (i as f32 + 0.5) / N as f32);
+        assert!((0.0..1.0).contains(&r));
+        count[item] += 1.0;
+        rest[item] += r;
+    }
+    for item in 0..6 {
+        assert!((count[item] / N as f32 - weights[item] / 4.0).abs() < 1e-4, "{item}: {count:?}");
+        assert!(weights[item] == 0.0 || (rest[item] / count[item] - 0.5).abs() < 1e-3, "{item}: {rest:?}");
+    }
+    assert_eq!(invert(6, |i| cumulative[i], BELOW_ONE).0, 4);
+}
+
+#[test]
+fn clusters_hold_every_light_once_and_face_one_way() {
+    // A bumpy sheet of a thousand triangles.
+    let mut mesh = Mesh::default();
+    for i in 0..1000u32 {
+        let at = Vec3::new((i % 32) as f32, (i / 32) as f32, (crate::rng::hash(i) % 64) as f32 / 64.0);
+        let spin = |k: u32| (crate::rng::hash2(i, k) % 256) as f32 / 256.0;
+        mesh.positions.extend([at, at + Vec3::new(1.0, spin(1), spin(2)), at + Vec3::new(spin(3), 1.0, spin(4))]);
+        mesh.triangles.push([3 * i, 3 * i + 1, 3 * i + 2]);
+    }
+    mesh.uvs = vec![Vec2::ZERO; mesh.positions.len()];
+    mesh.normals = vec![Vec3::Z; mesh.positions.len()];
+    let lights = Lights::by_power(&mesh, &vec![1.0; 1000]);
+    let mut all: Vec<u32> = lights.triangles.iter().map(|l| l.triangle).collect();
+    all.sort_unstable();
+    assert!(all.into_iter().eq(0..1000));
+    assert_eq!(lights.clusters.len() - 1, 256);
+    for range in lights.clusters.windows(2) {
+        let members = &lights.triangles[range[0] as usize..range[1] as usize];
+        let way = |l: &LightTriangle| facing(mesh.face_normal(l.triangle));
+        assert!(!members.is_empty() && members.iter().all(|l| way(l) == way(&members[0])));
+        assert_eq!(members.last().map(|l| l.cumulative), Some(1.0));
+    }
+}
+
+#[test]
+fn nothing_that_shines_is_no_light() {
+    let (scene, _) = two_rooms();
+    let dark = Lights::find(&scene, &atlas(&scene), &Rgb::filled(SIDE, SIDE, [1.0; 3]));
+    assert_eq!(dark, Lights::none(&scene.mesh));
+    let unusable = Lights::by_power(&scene.mesh, &vec![f32::NAN; scene.mesh.triangles.len()]);
+    assert!(unusable.is_empty());
+}
