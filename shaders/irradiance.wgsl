@@ -18,9 +18,8 @@
 override LANES: u32 = 64u;
 
 struct IrradianceParams {
-    // Points of this dispatch, and the index of its first in the caller's list (which seeds its sequences).
+    // Points of this dispatch.
     count: u32,
-    first_point: u32,
     // Samples of this dispatch.
     first_sample: u32,
     end_sample: u32,
@@ -74,7 +73,7 @@ struct Share {
 fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
     let item = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
     let point = points[min(item, params.count - 1u)];
-    let seed = hash2(params.seed, params.first_point + item);
+    let seed = hash2(params.seed, point.sequence);
     return Share(item, thread % LANES, item < params.count, point, seed, light_table(point.position, point.normal));
 }
 

@@ -17,5 +17,6 @@ struct SurfacePoint {
     position: vec3f,
     triangle: u32,
     normal: vec3f,
-    pad: f32,
+    // Index of the point's sample sequence.
+    sequence: u32,
 }

@@ -20,7 +20,7 @@ pub struct Atlas {
     pub height: usize,
     /// Atlas index (row · width + column) of each valid texel, ascending.
     pub texels: Vec<u32>,
-    /// The surface point of each valid texel, on the front side of its triangle.
+    /// The surface point of each valid texel, on the front side of its triangle; its sequence is the texel's index.
     pub points: Vec<SurfacePoint>,
     /// Texels whose centre lies in a triangle (the others are only touched by one), per valid texel.
     pub inside: Vec<bool>,
@@ -34,11 +34,12 @@ impl Atlas {
         }
         let hits = backend.texels(width, height)?;
         let covered = || hits.iter().enumerate().filter(|(_, h)| h.is_hit());
+        let point = |(i, hit)| SurfacePoint { sequence: i as u32, ..SurfacePoint::new(&scene.mesh, hit, None) };
         let atlas = Self {
             width,
             height,
             texels: covered().map(|(i, _)| i as u32).collect(),
-            points: covered().map(|(_, h)| SurfacePoint::new(&scene.mesh, h, None)).collect(),
+            points: covered().map(point).collect(),
             inside: covered().map(|(_, h): (_, &Hit)| h.t > 0.0).collect(),
         };
         if atlas.texels.is_empty() {

@@ -26,13 +26,13 @@ pub struct Sampling {
 }
 
 /// How many rays the irradiance gather sends, and where.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Gather {
     /// Cosine-distributed rays per point, at least 1.
     pub cosine: u32,
     /// Rays per point to the [`Lights`]; 0 leaves them to the cosine samples.
     pub light: u32,
-    /// Seed of the run; point `i` draws from the sequences scrambled by `hash(seed, i)`.
+    /// Seed of the run; a point draws from the sequences scrambled by `hash(seed, sequence)`.
     pub seed: u32,
 }
 

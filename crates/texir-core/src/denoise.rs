@@ -145,7 +145,7 @@ mod tests {
     const NOISE: f32 = 0.1;
 
     fn point(position: Vec3, normal: Vec3) -> SurfacePoint {
-        SurfacePoint { position: position.to_array(), triangle: 0, normal: normal.to_array(), pad: 0.0 }
+        SurfacePoint { position: position.to_array(), triangle: 0, normal: normal.to_array(), sequence: 0 }
     }
 
     /// Texel (x, y) of a floor.

@@ -48,13 +48,13 @@ pub struct SurfacePoint {
     pub triangle: u32,
     /// Unit shading normal.
     pub normal: [f32; 3],
-    /// Keeps the 32-byte layout of the WGSL struct.
-    pub pad: f32,
+    /// Index of the point's sample sequence: the texel's index in its atlas, so that a subset draws the same samples.
+    pub sequence: u32,
 }
 
 impl SurfacePoint {
     /// The point of a hit. With `towards` (a unit direction), both normals are flipped to its side, so that a surface
-    /// seen from behind is shaded on the side that is seen.
+    /// seen from behind is shaded on the side that is seen. Its sequence is 0.
     pub fn new(mesh: &Mesh, hit: &Hit, towards: Option<Vec3>) -> Self {
         let w = 1.0 - hit.u - hit.v;
         let [a, b, c] = mesh.corners(hit.triangle);
@@ -69,7 +69,7 @@ impl SurfacePoint {
             normal = -normal;
         }
         let position = offset_origin(a * w + b * hit.u + c * hit.v, face);
-        Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), pad: 0.0 }
+        Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), sequence: 0 }
     }
 }
 

@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let gather = Gather { cosine: 64, light: 64, seed: 1 };
     let console = Console::default();
-    let baked = bake::irradiance(&mut backend, &atlas, gather, &console)?;
+    let baked = bake::irradiance(&mut backend, &atlas, gather, None, &console)?;
     let irradiance = baked.map(&atlas, Buried::Fill);
 
     println!("device: {}", backend.name());

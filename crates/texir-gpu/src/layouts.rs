@@ -52,8 +52,8 @@ fn host_structs_have_the_layout_of_their_wgsl() {
     let all = [
         ("primary", "Hit", host!(Hit { triangle, u, v, t })),
         ("texels", "Hit", host!(Hit { triangle, u, v, t })),
-        ("project", "SurfacePoint", host!(SurfacePoint { position, triangle, normal })),
-        ("irradiance", "SurfacePoint", host!(SurfacePoint { position, triangle, normal })),
+        ("project", "SurfacePoint", host!(SurfacePoint { position, triangle, normal, sequence })),
+        ("irradiance", "SurfacePoint", host!(SurfacePoint { position, triangle, normal, sequence })),
         ("project", "Projected", host!(Projected { pixel, cosine, distance })),
         ("shade", "ShadePoint", host!(ShadePoint { position, sequence, normal, view, irradiance })),
         ("specular_table", "ShadePoint", host!(ShadePoint { position, sequence, normal, view, irradiance })),
@@ -71,7 +71,6 @@ fn host_structs_have_the_layout_of_their_wgsl() {
             "IrradianceParams",
             host!(IrradianceParams {
                 count,
-                first_point,
                 first_sample,
                 end_sample,
                 cosine_samples,

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::backend::Gather;
-use texir_core::bake::{self, Buried};
+use texir_core::bake::{self, Buried, Journal};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::image_io::write_rgb;
 use texir_core::lights::Lights;
@@ -82,18 +82,29 @@ impl Bake {
         backend.set_tbl(&radiance, &lights)?;
         let light = if self.cosine_only { 0 } else { self.spp / 2 };
         let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
-        let baked = if self.no_denoise || gather.cosine < 2 {
-            bake::irradiance(backend.as_mut(), &atlas, gather, session.console)?
+        let denoise = !self.no_denoise && gather.cosine >= 2;
+        let settings = (backend.name(), width, height, gather, denoise);
+        let mut journal = Journal::open(self.partial(), &scene.mesh, &radiance, settings, session.console)?;
+        let baked = if denoise {
+            bake::denoised(backend.as_mut(), &scene.mesh, &atlas, gather, Some(&mut journal), session.console)?
         } else {
-            bake::denoised(backend.as_mut(), &scene.mesh, &atlas, gather, session.console)?
+            bake::irradiance(backend.as_mut(), &atlas, gather, Some(&mut journal), session.console)?
         };
         let buried = if self.fill_buried { Buried::Fill } else { Buried::Keep };
         write_rgb(&self.output, &baked.map(&atlas, buried))?;
+        journal.remove()?;
         let texels = atlas.texels.len();
         let rays = texels as u64 * u64::from(self.spp);
         let buried = baked.buried.iter().filter(|inside| **inside).count();
         let summary = Summary { output: self.output.clone(), width, height, texels, buried, rays };
         session.print(&summary, || format!("{}: {width} × {height}, {texels} texels", summary.output.display()))
+    }
+
+    /// Where the results so far lie while the bake runs: beside the output.
+    fn partial(&self) -> PathBuf {
+        let mut name = self.output.as_os_str().to_owned();
+        name.push(".partial");
+        name.into()
     }
 
     fn load(&self, session: &Session<'_>) -> Result<(Scene, Light), Failure> {

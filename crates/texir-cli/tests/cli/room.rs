@@ -238,7 +238,7 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
         let radiance = outgoing(&albedo, &irradiance, &emission);
         backend.set_tbl(&radiance, &lights).unwrap();
         let gather = Gather { cosine: 32, light: 32, seed: bounce as u32 };
-        irradiance = bake::irradiance(backend, &atlas, gather, &Silent).unwrap().map(&atlas, Buried::Fill);
+        irradiance = bake::irradiance(backend, &atlas, gather, None, &Silent).unwrap().map(&atlas, Buried::Fill);
     }
     Textures { albedo, roughness, irradiance, emission, diffuse: DiffuseModel::Lambert }
 }

@@ -19,7 +19,7 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
 /// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Fibonacci lattice of n_c points,
-/// shifted by two hashes of `hash2(seed, index)`, light sample i point i of another of n_l points.
+/// shifted by two hashes of `hash2(seed, sequence)`, light sample i point i of another of n_l points.
 ///
 /// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
 /// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.
@@ -27,13 +27,12 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
     lights: &Lights,
     point: &SurfacePoint,
-    index: u32,
     gather: Gather,
 ) -> Gathered {
     let mesh = lighting.tracer.mesh();
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
     let (tangent, bitangent) = basis(normal);
-    let seed = hash2(gather.seed, index);
+    let seed = hash2(gather.seed, point.sequence);
     let light_samples = if lights.is_empty() { 0 } else { gather.light };
     let table = lights.table(point.position.into(), point.normal.into());
     let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));

@@ -126,8 +126,8 @@ impl Backend for CpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
         let (lighting, lights) = self.lighting()?;
-        map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |i, point| {
-            irradiance::irradiance::<f32, _>(&lighting, lights, point, i as u32, gather)
+        map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |_, point| {
+            irradiance::irradiance::<f32, _>(&lighting, lights, point, gather)
         })
     }
 

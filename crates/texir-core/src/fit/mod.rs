@@ -130,7 +130,7 @@ pub fn fit(
         seed: settings.seed,
     };
     let irradiance = checkpoints.array("irradiance", || {
-        Ok(bake::denoised(backend, &scene.mesh, &atlas, gather, progress)?.map(&atlas, bake::Buried::Fill).data)
+        Ok(bake::denoised(backend, &scene.mesh, &atlas, gather, None, progress)?.map(&atlas, bake::Buried::Fill).data)
     })?;
     let irradiance = Raster::new(atlas.width, atlas.height, irradiance)?;
     timings.mark("irradiance");

@@ -15,8 +15,10 @@ use crate::rng::{hash2, sobol2};
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
-/// The surface of the scene over the area of a cell's side.
+/// The surface of the scene over the area of a cell's side: about half the number of its cells, at most.
 const CELLS: f32 = 2048.0;
+/// Texels over the area of a cell's side, at least: a cell without a texel would have no table.
+const TEXELS: f32 = 8.0;
 /// Most cells of the grid, empty ones included: bounds memory where small objects stand far apart.
 const GRID_CELLS: f32 = (1 << 20) as f32;
 /// Shadow rays per cell and cluster.
@@ -64,7 +66,8 @@ fn grid(scene: &Scene, points: &[SurfacePoint]) -> LightGrid {
     let low = positions().fold(Vec3::INFINITY, Vec3::min);
     let extent = positions().fold(Vec3::NEG_INFINITY, Vec3::max) - low;
     let size = |edge: f32| (extent / edge).floor() + 1.0;
-    let mut edge = (area / CELLS).sqrt().max(f32::MIN_POSITIVE);
+    let cells = CELLS.min(points.len() as f32 / TEXELS);
+    let mut edge = (area / cells).sqrt().max(f32::MIN_POSITIVE);
     while !(size(edge).element_product() <= GRID_CELLS) {
         edge *= 1.25;
     }

@@ -32,7 +32,7 @@ impl Quads {
     }
 }
 
-const SIDE: usize = 32;
+const SIDE: usize = 64;
 
 /// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling.
 fn two_rooms() -> (Scene, Rgb) {
@@ -60,7 +60,7 @@ fn atlas(scene: &Scene) -> Atlas {
 
 /// A point of the floor.
 fn on_floor(x: f32, y: f32) -> SurfacePoint {
-    SurfacePoint { position: [x, y, 1e-4], triangle: 0, normal: [0.0, 0.0, 1.0], pad: 0.0 }
+    SurfacePoint { position: [x, y, 1e-4], triangle: 0, normal: [0.0, 0.0, 1.0], sequence: 0 }
 }
 
 /// Share of the directions above (x, y), by the cosine, that see a horizontal rectangle `h` higher (Siegel and Howell,
@@ -77,8 +77,7 @@ fn form_factor([x, y]: [f64; 2], low: [f64; 2], high: [f64; 2], h: f64) -> f64 {
 
 /// Mean and relative standard deviation of E over seeds at a point.
 fn gathered(backend: &mut dyn Backend, point: &SurfacePoint, cosine: u32, light: u32) -> (f64, f64) {
-    // A point's samples follow its index.
-    let points = vec![*point; 20_000];
+    let points: Vec<SurfacePoint> = (0..20_000).map(|sequence| SurfacePoint { sequence, ..*point }).collect();
     let all = backend.irradiance(&points, Gather { cosine, light, seed: 1 }, &Silent).unwrap();
     let n = all.len() as f64;
     let e = || all.iter().map(|g| f64::from(g.irradiance[0]));

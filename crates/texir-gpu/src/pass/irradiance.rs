@@ -19,7 +19,6 @@ use crate::scene::{Geometry, Lighting};
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct IrradianceParams {
     pub count: u32,
-    pub first_point: u32,
     pub first_sample: u32,
     pub end_sample: u32,
     pub cosine_samples: u32,
@@ -65,7 +64,6 @@ impl Gathering for Irradiance<'_> {
     ) -> Result<()> {
         let params = ctx.params(&IrradianceParams {
             count: items.len() as u32,
-            first_point: items.start as u32,
             first_sample: samples.start,
             end_sample: samples.end,
             cosine_samples: self.gather.cosine,

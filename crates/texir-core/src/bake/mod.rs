@@ -1,5 +1,9 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 
+mod journal;
+
+pub use journal::Journal;
+
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Gathered};
 use crate::denoise::denoise;
@@ -8,9 +12,13 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::rng::hash;
+use crate::surface::SurfacePoint;
 
 /// Rings of padding around the charts of a baked map.
 pub const PADDING: usize = 4;
+
+/// Rays of a tile, after which a journal is written: some seconds' work on a processor.
+const TILE_RAYS: usize = 1 << 23;
 
 /// A texel lies inside an object when this share of its rays meets the backs of triangles.
 const BURIED: f32 = 0.5;
@@ -43,9 +51,16 @@ impl Baked {
 }
 
 /// Bakes the irradiance of every valid texel from the TBL that the backend was given with [`Backend::set_tbl`]; unbiased.
-pub fn irradiance(backend: &mut dyn Backend, atlas: &Atlas, gather: Gather, progress: &dyn Progress) -> Result<Baked> {
+/// With a journal, a bake that was interrupted goes on where it was.
+pub fn irradiance(
+    backend: &mut dyn Backend,
+    atlas: &Atlas,
+    gather: Gather,
+    journal: Option<&mut Journal>,
+    progress: &dyn Progress,
+) -> Result<Baked> {
     progress.start("irradiance", rays(atlas, gather), "rays");
-    let gathered = backend.irradiance(&atlas.points, gather, progress)?;
+    let gathered = in_tiles(backend, &atlas.points, gather, TILE_RAYS, journal, progress)?;
     progress.finish();
     Ok(Baked {
         irradiance: gathered.iter().map(|g| g.irradiance).collect(),
@@ -59,6 +74,7 @@ pub fn denoised(
     mesh: &Mesh,
     atlas: &Atlas,
     gather: Gather,
+    mut journal: Option<&mut Journal>,
     progress: &dyn Progress,
 ) -> Result<Baked> {
     if gather.cosine < 2 {
@@ -67,13 +83,49 @@ pub fn denoised(
     progress.start("irradiance", rays(atlas, gather), "rays");
     let second = Gather { cosine: gather.cosine / 2, light: gather.light / 2, seed: hash(gather.seed) };
     let first = Gather { cosine: gather.cosine - second.cosine, light: gather.light - second.light, ..gather };
-    let [a, b] =
-        [backend.irradiance(&atlas.points, first, progress)?, backend.irradiance(&atlas.points, second, progress)?];
+    let mut half = |gather| in_tiles(backend, &atlas.points, gather, TILE_RAYS, journal.as_deref_mut(), progress);
+    let [a, b] = [half(first)?, half(second)?];
     progress.finish();
     let buried: Vec<bool> = a.iter().map(buried).collect();
     let halves = [a, b].map(|half| half.iter().map(|g| g.irradiance).collect());
     let irradiance = denoise(&atlas.points, &halves, &buried, atlas.typical_texel(mesh));
     Ok(Baked { irradiance, buried })
+}
+
+/// Gathers at points, a tile of about `tile_rays` rays after another; how points are cut changes nothing, as a point's
+/// samples depend on it alone.
+fn in_tiles(
+    backend: &mut dyn Backend,
+    points: &[SurfacePoint],
+    gather: Gather,
+    tile_rays: usize,
+    mut journal: Option<&mut Journal>,
+    progress: &dyn Progress,
+) -> Result<Vec<Gathered>> {
+    let rays = (gather.cosine + gather.light) as usize;
+    let mut all = Vec::with_capacity(points.len());
+    for tile in points.chunks((tile_rays / rays.max(1)).max(1)) {
+        let gathered = match journal.as_deref_mut().and_then(Journal::next) {
+            Some(earlier) => {
+                if earlier.len() != tile.len() {
+                    return Err(Error::invalid(
+                        "the bake's progress is that of another atlas: remove the .partial file",
+                    ));
+                }
+                progress.advance((tile.len() * rays) as u64);
+                earlier
+            }
+            None => {
+                let gathered = backend.irradiance(tile, gather, progress)?;
+                if let Some(journal) = journal.as_deref_mut() {
+                    journal.push(&gathered)?;
+                }
+                gathered
+            }
+        };
+        all.extend(gathered);
+    }
+    Ok(all)
 }
 
 fn rays(atlas: &Atlas, gather: Gather) -> u64 {
@@ -83,3 +135,6 @@ fn rays(atlas: &Atlas, gather: Gather) -> u64 {
 fn buried(gathered: &Gathered) -> bool {
     gathered.back_faces >= BURIED
 }
+
+#[cfg(test)]
+mod tests;
