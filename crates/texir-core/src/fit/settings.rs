@@ -307,8 +307,8 @@ impl Default for AlbedoSettings {
             smoothness: 0.03,
             edge_scale: 0.03,
             segment_prior: 1e-3,
-            rounds: 3,
-            iterations: 25,
+            rounds: 2,
+            iterations: 12,
         }
     }
 }

@@ -109,7 +109,7 @@ fn fuse(
             cameras.len()
         )));
     }
-    fusion.complete(backend, &mut load, radiance)
+    fusion.complete(backend, &mut load, radiance, None)
 }
 
 /// A TBL, of the size of `atlas`, whose light sources explain the pixels of `views`: see [`sources`].
@@ -125,7 +125,7 @@ pub fn resolve_sources(
     let fusion = Fusion { scene, atlas, cameras: &cameras, options: &TblOptions::default(), progress };
     let seen = |&t: &u32| (tbl.coverage.data[t as usize] == Coverage::Seen).then(|| tbl.radiance.data[t as usize]);
     let radiance = atlas.texels.iter().map(seen).collect();
-    fusion.complete(backend, &mut |i| views[i].load_image(progress), radiance)
+    fusion.complete(backend, &mut |i| views[i].load_image(progress), radiance, Some(tbl))
 }
 
 /// What the views are fused into, and how.
@@ -139,17 +139,22 @@ struct Fusion<'a> {
 
 impl Fusion<'_> {
     /// The TBL from the radiance of the texels that are seen: light sources are separated from what is beside them, and what
-    /// is not seen is filled.
+    /// is not seen is filled, as in `given` where that filled it.
     fn complete(
         &self,
         backend: &mut dyn Backend,
         load: &mut dyn FnMut(usize) -> Result<Rgb>,
         mut radiance: Vec<Option<[f32; 3]>>,
+        given: Option<&Tbl>,
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
         let limit = self.separate_sources(backend, load, &mut radiance)?;
         let coverage = radiance.iter().map(|r| r.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
         unseen::shine(&scene.mesh, atlas, limit, &mut radiance);
+        for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
+            let filled = |tbl: &&Tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted;
+            *radiance = given.filter(filled).map(|tbl| tbl.radiance.data[t as usize]);
+        }
         let radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
         Ok(Tbl {
             radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
