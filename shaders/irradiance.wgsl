@@ -44,7 +44,8 @@ struct Gathered {
 @group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
 @group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
 
-// L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back; 0 for a miss.
+// L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back. What misses the
+// mesh sees the environment, which the light samples never aim at.
 // A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks.
 fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) -> vec4f {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
@@ -54,7 +55,8 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
     let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive].per_area > 0.0);
-    return select(vec4f(light, select(0.0, 1.0, back)), vec4f(0.0), hit.primitive == MISS);
+    let beyond = environment_radiance(direction) / (f32(params.cosine_samples) * INV_PI);
+    return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
 }
 
 // The point that a thread works on.

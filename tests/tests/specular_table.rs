@@ -104,7 +104,7 @@ fn red(table: [V3<f64>; NODES]) -> Vec<f64> {
 fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
     let mesh = box_with_lamp();
     let (one, exact) = (Rgb::filled(4, 4, [1.0; 3]), Exhaustive(&mesh));
-    let lighting = Lighting { tracer: &exact, radiance: &one };
+    let lighting = Lighting { tracer: &exact, radiance: &one, environment: None };
     let noise = Tolerance { absolute: 0.0, relative: 0.01 };
     for nv in [0.3, 0.5, 0.8, 1.0] {
         let expected: Vec<f64> = (0..NODES).map(|k| albedo(f64::from(nv), f64::from(node(k)))).collect();
@@ -123,7 +123,7 @@ fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
 fn a_small_lamp_shines_as_in_shading_at_every_node() {
     let mesh = box_with_lamp();
     let (light, exact) = (lamp_light(), Exhaustive(&mesh));
-    let lighting = Lighting { tracer: &exact, radiance: &light };
+    let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     // Mirrors the lamp, so that sharp lobes see it.
     let pixel = floor_pixel(Vec3::new(-0.4, -0.15, 0.9), 5);
     let ks = [4, 10, 16, NODES - 1];
@@ -188,7 +188,7 @@ fn wgsl_and_twin_agree() {
     assert!(!lights.is_empty());
     let pixels = pixels(&scene, &mut backend, 41);
     let exact = Exhaustive(&scene.mesh);
-    let lighting = Lighting { tracer: &exact, radiance: &radiance };
+    let lighting = Lighting { tracer: &exact, radiance: &radiance, environment: None };
     for lights in [lights, Lights::none(&scene.mesh)] {
         backend.set_tbl(&radiance, &lights).unwrap();
         for (lobe, cosine, light) in [(2, 2, 6), (1, 0, 3), (0, 3, 0), (3, 5, 7)] {

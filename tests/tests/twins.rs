@@ -143,7 +143,7 @@ fn irradiance_gather() {
     backend.set_tbl(&light, &lights).unwrap();
     let points = points(&scene, 150);
     let exact = Exhaustive(&scene.mesh);
-    let lighting = Lighting { tracer: &exact, radiance: &light };
+    let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
     for (cosine, light) in [(5, 0), (64, 0), (64, 64), (33, 100)] {
         let gather = Gather { cosine, light, seed: 11 };
@@ -219,7 +219,7 @@ fn shading_and_its_jacobian() {
     backend.set_tbl(&light, &Lights::none(&scene.mesh)).unwrap();
     let (points, materials) = shading(&scene, &mut backend, &scenes::cameras()[0], 17);
     let exact = Exhaustive(&scene.mesh);
-    let lighting = Lighting { tracer: &exact, radiance: &light };
+    let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let sampling = Sampling { samples: 16, seed: 5 };
     let mut first: Option<Vec<f64>> = None;
     for gradient in [RoughnessGradient::Exact, RoughnessGradient::Authors] {

@@ -7,10 +7,12 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::camera::Camera;
+use crate::environment::Environment;
 use crate::error::Result;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
+use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
@@ -205,8 +207,12 @@ pub trait Backend {
     fn name(&self) -> String;
 
     /// Sets the radiance texture that [`Backend::irradiance`] and [`Backend::shade`] gather (linear RGB, nearest texel;
-    /// rays that miss the mesh return 0), and the lights in it that the gather samples.
+    /// rays that miss the mesh see the environment), and the lights in it that the gather samples.
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
+
+    /// Sets what [`Backend::irradiance`] and [`Backend::shade`] see along rays that miss the mesh; `None`, as at first, is
+    /// black.
+    fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
     /// Primary visibility: the closest hit through every pixel centre, `camera.pixels()` items. `t` is in metres.
     fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>>;
@@ -220,6 +226,15 @@ pub trait Backend {
     /// unbiased for any split. The backs of lights are black. Advances `progress` by the rays traced.
     fn irradiance(&mut self, points: &[SurfacePoint], gather: Gather, progress: &dyn Progress)
     -> Result<Vec<Gathered>>;
+
+    /// Irradiance at every point from all `lights` together: one shadow ray per point and light, cosine included, not
+    /// divided by π. Advances `progress` by the rays.
+    fn punctual(
+        &mut self,
+        points: &[SurfacePoint],
+        lights: &[PunctualLight],
+        progress: &dyn Progress,
+    ) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>>;

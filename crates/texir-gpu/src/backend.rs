@@ -5,9 +5,11 @@ use texir_core::backend::{
     Sampling, ShadePoint, Shaded,
 };
 use texir_core::camera::Camera;
+use texir_core::environment::Environment;
 use texir_core::error::{Error, Result};
 use texir_core::lights::Lights;
 use texir_core::progress::Progress;
+use texir_core::punctual::PunctualLight;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 use texir_core::specular_table::{Curve, STRATA, TableSampling};
@@ -17,7 +19,7 @@ use texir_core::texture::{Footprints, Pyramid};
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
 use crate::pass::{
-    group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, specular_table, texels,
+    group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp, specular_table, texels,
 };
 use crate::scene::{Geometry, Hierarchy, Lighting};
 
@@ -90,6 +92,11 @@ impl Backend for GpuBackend<'_> {
         Ok(())
     }
 
+    fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
+        let gpu = &self.context.gpu;
+        gpu.guarded("uploading the environment", || self.geometry.surround(gpu, environment))
+    }
+
     fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>> {
         countable(camera.pixels())?;
         let gpu = self.context.gpu.clone();
@@ -116,6 +123,17 @@ impl Backend for GpuBackend<'_> {
         let light = (&self.geometry, lighting_of(&self.lighting)?);
         let gpu = self.context.gpu.clone();
         gpu.guarded("irradiance", || irradiance::run(&mut self.context, light, points, gather, shape, progress))
+    }
+
+    fn punctual(
+        &mut self,
+        points: &[SurfacePoint],
+        lights: &[PunctualLight],
+        progress: &dyn Progress,
+    ) -> Result<Vec<[f32; 3]>> {
+        countable(points.len())?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("punctual", || punctual::run(&mut self.context, &self.geometry, points, lights, progress))
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {

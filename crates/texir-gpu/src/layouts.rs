@@ -4,6 +4,7 @@ use std::mem::offset_of;
 
 use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, ShadePoint, Shaded};
 use texir_core::lights::LightDensity;
+use texir_core::punctual::PunctualLight;
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
 
@@ -13,6 +14,7 @@ use crate::pass::lookup::LookupParams;
 use crate::pass::mip::MipParams;
 use crate::pass::primary::{CameraUniform, PrimaryParams};
 use crate::pass::project::ProjectParams;
+use crate::pass::punctual::PunctualParams;
 use crate::pass::radiance_loss::RadianceLossParams;
 use crate::pass::shade::ShadeParams;
 use crate::pass::shade_vjp::ShadeVjpParams;
@@ -96,6 +98,12 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ),
         ("primary", "PrimaryParams", host!(PrimaryParams { first, count })),
         ("project", "ProjectParams", host!(ProjectParams { count, clear_share })),
+        (
+            "punctual",
+            "PunctualLight",
+            host!(PunctualLight { position, distant, direction, inverse_range, intensity, cone_scale, cone_offset }),
+        ),
+        ("punctual", "PunctualParams", host!(PunctualParams { count, clear_share })),
         ("radiance_loss", "RadianceLossParams", host!(RadianceLossParams { count, share })),
         ("shade", "ShadeParams", host!(ShadeParams { count, first_sample, end_sample, samples, seed })),
         ("shade_vjp", "ShadeVjpParams", host!(ShadeVjpParams { count })),

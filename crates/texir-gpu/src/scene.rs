@@ -2,6 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec4;
+use texir_core::environment::Environment;
 use texir_core::error::{Error, Result};
 use texir_core::lights::Lights;
 use texir_core::raster::Rgb;
@@ -75,6 +76,8 @@ pub(crate) struct Geometry {
     nodes: Words,
     triangles: Words,
     triangle_uvs: View,
+    /// What rays see that miss the mesh.
+    environment: wgpu::TextureView,
 }
 
 impl Geometry {
@@ -100,7 +103,16 @@ impl Geometry {
             nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
             triangles: Words::new(gpu, "triangles", &triangles, place)?,
             triangle_uvs: keep(gpu, "triangle coordinates", &uvs)?,
+            environment: radiance_texture(gpu, "environment", &Rgb::filled(1, 1, [0.0; 3]))?,
         })
+    }
+
+    /// Puts the scene into an environment.
+    pub fn surround(&mut self, gpu: &Gpu, environment: Option<&Environment>) -> Result<()> {
+        let black = Rgb::filled(1, 1, [0.0; 3]);
+        let radiance = environment.map_or(&black, Environment::radiance);
+        self.environment = radiance_texture(gpu, "environment", radiance)?;
+        Ok(())
     }
 
     /// What tracing passes bind.
@@ -109,10 +121,11 @@ impl Geometry {
     }
 
     /// What gathering passes bind.
-    pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 4] {
+    pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 5] {
         let [nodes, triangles] = self.bindings();
         let tbl = ("tbl", wgpu::BindingResource::TextureView(&lighting.tbl));
-        [nodes, triangles, ("triangle_uvs", self.triangle_uvs.binding()), tbl]
+        let environment = ("environment", wgpu::BindingResource::TextureView(&self.environment));
+        [nodes, triangles, ("triangle_uvs", self.triangle_uvs.binding()), tbl, environment]
     }
 }
 
@@ -176,7 +189,7 @@ impl Lighting {
             clusters: clusters as u32,
         };
         Ok(Self {
-            tbl: tbl_texture(gpu, radiance)?,
+            tbl: radiance_texture(gpu, "texture-based lighting", radiance)?,
             light_triangles: keep(gpu, "light triangles", &light_triangles)?,
             light_density: keep(gpu, "light densities", &density)?,
             light_clusters: keep(gpu, "light clusters", &lights.clusters)?,
@@ -200,12 +213,12 @@ impl Lighting {
     }
 }
 
-/// The radiance atlas as a texture.
-fn tbl_texture(gpu: &Gpu, radiance: &Rgb) -> Result<wgpu::TextureView> {
+/// An image of radiance as a texture.
+fn radiance_texture(gpu: &Gpu, name: &str, radiance: &Rgb) -> Result<wgpu::TextureView> {
     if radiance.data.is_empty() {
-        return Err(Error::invalid("the texture-based lighting has no texels"));
+        return Err(Error::invalid(format!("the {name} has no texels")));
     }
-    texture(gpu, "texture-based lighting", radiance.width as u32, radiance.height as u32, |first, count| {
+    texture(gpu, name, radiance.width as u32, radiance.height as u32, |first, count| {
         let texels = &radiance.data[first * radiance.width..(first + count) * radiance.width];
         let rgba: Vec<[f32; 4]> = texels.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
         bytemuck::cast_slice(&rgba).to_vec()

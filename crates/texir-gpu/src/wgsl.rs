@@ -28,6 +28,7 @@ pub const SHADERS: Library<'static> = Library(sources![
     "mip",
     "primary",
     "project",
+    "punctual",
     "radiance_loss",
     "shade",
     "shade_vjp",

@@ -42,7 +42,11 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     for i in 0..gather.cosine {
         let V3([x, y, z]) = cosine_direction(fibonacci2(i, step, offset));
         let direction = tangent * x + bitangent * y + normal * z;
-        let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
+        let Some(hit) = lighting.tracer.closest(origin, direction) else {
+            // Light samples never aim there.
+            sum = sum + lighting.beyond(direction) * (R::of(std::f64::consts::PI) / n_cosine);
+            continue;
+        };
         let back = is_back_face(mesh, &hit, direction);
         behind += u32::from(back);
         if back && lights.density[hit.triangle as usize].per_area > 0.0 {

@@ -7,6 +7,7 @@ pub mod light_sampling;
 pub mod lookup;
 pub mod primary;
 pub mod project;
+pub mod punctual;
 pub mod radiance_loss;
 pub mod shade;
 pub mod shade_vjp;
@@ -24,9 +25,11 @@ use crate::backend::{
     Sampling, ShadePoint, Shaded,
 };
 use crate::camera::Camera;
+use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::progress::Progress;
+use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::real::V3;
 use crate::scene::Scene;
@@ -43,18 +46,19 @@ const CHUNK: usize = 4096;
 pub struct CpuBackend<'a> {
     scene: &'a Scene,
     tbl: Option<(Rgb, Lights)>,
+    environment: Option<Environment>,
 }
 
 impl<'a> CpuBackend<'a> {
     /// A backend for one scene.
     pub fn new(scene: &'a Scene) -> Self {
-        Self { scene, tbl: None }
+        Self { scene, tbl: None, environment: None }
     }
 
     fn lighting(&self) -> Result<(Lighting<'_, Scene>, &Lights)> {
         let (radiance, lights) =
             self.tbl.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))?;
-        Ok((Lighting { tracer: self.scene, radiance }, lights))
+        Ok((Lighting { tracer: self.scene, radiance, environment: self.environment.as_ref() }, lights))
     }
 }
 
@@ -96,6 +100,11 @@ impl Backend for CpuBackend<'_> {
         Ok(())
     }
 
+    fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
+        self.environment = environment.cloned();
+        Ok(())
+    }
+
     fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>> {
         let hit = |i: usize| {
             primary::primary::<f32>(self.scene, camera, i % camera.width, i / camera.width).map_or(Hit::MISS, Hit::from)
@@ -128,6 +137,18 @@ impl Backend for CpuBackend<'_> {
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |_, point| {
             irradiance::irradiance::<f32, _>(&lighting, lights, point, gather)
+        })
+    }
+
+    fn punctual(
+        &mut self,
+        points: &[SurfacePoint],
+        lights: &[PunctualLight],
+        progress: &dyn Progress,
+    ) -> Result<Vec<[f32; 3]>> {
+        map_in_chunks(points, progress, lights.len() as u64, |_, point| {
+            let sum = |sum, light| sum + punctual::punctual::<f32>(self.scene, light, point);
+            lights.iter().fold(V3::zero(), sum).to_f32()
         })
     }
 

@@ -85,7 +85,7 @@ fn close(a: f64, b: f64, tolerance: f64, what: &str) {
 #[test]
 fn the_authors_gradient_is_the_derivative_of_their_estimator() {
     let (mesh, tbl) = (box_room(), patchy_light());
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl };
+    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
     for view in views() {
         for r in [0.1, 0.3, 0.7] {
             let d = shade(&light, &point(view), &material(Dual::variable(r)), SAMPLING, RoughnessGradient::Authors);
@@ -125,7 +125,7 @@ fn detached<R: Real>(light: &Lighting<'_, Exhaustive<'_>>, point: &ShadePoint, r
 #[test]
 fn the_exact_gradient_is_that_of_the_detached_estimator() {
     let (mesh, tbl) = (box_room(), patchy_light());
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl };
+    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
     let mut differs = false;
     for view in views() {
         for r in [0.1, 0.3, 0.7] {
@@ -145,7 +145,7 @@ fn the_exact_gradient_is_that_of_the_detached_estimator() {
 #[test]
 fn shade_vjp_is_the_transposed_derivative() {
     let (mesh, tbl) = (box_room(), patchy_light());
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl };
+    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
     let delta = V3([0.7, -1.3, 0.4]);
     for view in views() {
         let p = point(view);
@@ -255,7 +255,7 @@ fn a_closed_box_of_constant_radiance_is_a_furnace() {
 #[test]
 fn a_smooth_conductor_in_a_furnace_reflects_its_f0() {
     let (mesh, tbl) = (box_room(), Rgb::filled(4, 4, [1.0; 3]));
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl };
+    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
     let mirror = MaterialIn { albedo: V3([1.0, 0.7, 0.2]), roughness: 0.02, metallic: 1.0 };
     let p = point(Vec3::new(0.0, 0.05, 1.0));
     let got: ShadedIn<f64> = shade(&light, &p, &mirror, SAMPLING, RoughnessGradient::Exact);

@@ -2,6 +2,7 @@
 
 use obvhs::ray::{Ray, RayHit};
 
+use crate::environment::Environment;
 use crate::mesh::Mesh;
 use crate::raster::Rgb;
 use crate::real::{Real, V3};
@@ -93,15 +94,25 @@ pub struct Lighting<'a, T> {
     pub tracer: &'a T,
     /// Outgoing radiance in the atlas.
     pub radiance: &'a Rgb,
+    /// What rays see that miss the mesh; black where there is none.
+    pub environment: Option<&'a Environment>,
 }
 
 impl<T> Lighting<'_, T> {
-    /// Radiance arriving at `origin` from `direction`: nearest texel at the hit, 0 on a miss.
+    /// Radiance arriving at `origin` from `direction`: nearest texel at the hit, the environment on a miss.
     pub fn incoming<R: Real>(&self, origin: V3<R>, direction: V3<R>) -> V3<R>
     where
         T: Trace<R>,
     {
-        self.tracer.closest(origin, direction).map_or(V3::zero(), |hit| self.radiance_at(&hit))
+        match self.tracer.closest(origin, direction) {
+            Some(hit) => self.radiance_at(&hit),
+            None => self.beyond(direction),
+        }
+    }
+
+    /// Radiance of the environment in `direction`.
+    pub fn beyond<R: Real>(&self, direction: V3<R>) -> V3<R> {
+        self.environment.map_or(V3::zero(), |environment| environment.towards(direction))
     }
 
     /// Outgoing radiance at a hit: the nearest texel.

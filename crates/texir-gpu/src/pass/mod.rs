@@ -7,6 +7,7 @@ pub(crate) mod lookup;
 pub(crate) mod mip;
 pub(crate) mod primary;
 pub(crate) mod project;
+pub(crate) mod punctual;
 pub(crate) mod radiance_loss;
 pub(crate) mod shade;
 pub(crate) mod shade_vjp;
