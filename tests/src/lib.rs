@@ -2,6 +2,7 @@
 //! in code.
 
 pub mod compare;
+pub mod gltf;
 pub mod scenes;
 
 use std::sync::Once;

@@ -11,6 +11,10 @@ use crate::scene::Scene;
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Pyramid, Tap};
 
+/// How far a texel that its triangle only touches moves from the triangle's edge towards its middle: on the edge itself,
+/// where rounding decides on which side of the neighbouring surface a ray starts, half of its rays would leave the room.
+const OFF_EDGE: f32 = 1e-3;
+
 /// The texel map of a mesh: the valid texels of a `width × height` atlas and their surface points, in atlas order.
 #[derive(Clone, Debug)]
 pub struct Atlas {
@@ -34,7 +38,7 @@ impl Atlas {
         }
         let hits = backend.texels(width, height)?;
         let covered = || hits.iter().enumerate().filter(|(_, h)| h.is_hit());
-        let point = |(i, hit)| SurfacePoint { sequence: i as u32, ..SurfacePoint::new(&scene.mesh, hit, None) };
+        let point = |(i, hit)| SurfacePoint { sequence: i as u32, ..SurfacePoint::new(&scene.mesh, &off_edge(hit), None) };
         let atlas = Self {
             width,
             height,
@@ -117,6 +121,15 @@ impl Atlas {
         }
         raster
     }
+}
+
+/// See [`OFF_EDGE`].
+fn off_edge(hit: &Hit) -> Hit {
+    if hit.t > 0.0 {
+        return *hit;
+    }
+    let inwards = |v: f32| v + (1.0 / 3.0 - v) * OFF_EDGE;
+    Hit { u: inwards(hit.u), v: inwards(hit.v), ..*hit }
 }
 
 /// Finds the valid texels at atlas positions, by their index in [`Atlas::texels`].

@@ -54,7 +54,7 @@ pub enum Up {
 pub fn write_glb(path: impl AsRef<Path>, mesh: &Mesh, materials: &Materials, up: Up) -> Result<()> {
     let path = path.as_ref();
     let mut builder = Builder::default();
-    let primitive = builder.primitive(mesh);
+    let primitive = builder.primitive(mesh, &mesh.uvs);
     let material = builder.material(path, materials)?;
     builder.finish_scene(Primitive { material: Some(material), ..primitive }, up);
     builder.write(path)
@@ -62,13 +62,14 @@ pub fn write_glb(path: impl AsRef<Path>, mesh: &Mesh, materials: &Materials, up:
 
 /// The JSON and the binary chunk as they grow. The one buffer has index 0.
 #[derive(Default)]
-struct Builder {
-    root: Root,
+pub(crate) struct Builder {
+    pub root: Root,
     bytes: Vec<u8>,
 }
 
 impl Builder {
-    fn primitive(&mut self, mesh: &Mesh) -> Primitive {
+    /// A mesh whose own coordinates are TEXCOORD_1, the lightmap's, and `base` TEXCOORD_0.
+    pub fn primitive(&mut self, mesh: &Mesh, base: &[Vec2]) -> Primitive {
         let (low, high) = mesh.bounds();
         let positions = self.accessor("position", ComponentType::F32, Type::Vec3, &mesh.positions);
         let bounded = &mut self.root.accessors[positions.value()];
@@ -78,15 +79,17 @@ impl Builder {
         let unit: Vec<Vec3> =
             mesh.normals.iter().map(|n| n.as_dvec3().normalize_or(glam::DVec3::Z).as_vec3()).collect();
         let normals = self.accessor("normal", ComponentType::F32, Type::Vec3, &unit);
-        let uvs = self.accessor::<Vec2>("atlas", ComponentType::F32, Type::Vec2, &mesh.uvs);
+        let lightmap = self.accessor::<Vec2>("atlas", ComponentType::F32, Type::Vec2, &mesh.uvs);
+        let same = std::ptr::eq(base, mesh.uvs.as_slice());
+        let base = if same { lightmap } else { self.accessor::<Vec2>("base", ComponentType::F32, Type::Vec2, base) };
         let indices: &[u32] = bytemuck::cast_slice(&mesh.triangles);
         let indices = self.accessor("triangles", ComponentType::U32, Type::Scalar, indices);
         Primitive {
             attributes: BTreeMap::from([
                 (Valid(Semantic::Positions), positions),
                 (Valid(Semantic::Normals), normals),
-                (Valid(Semantic::TexCoords(0)), uvs),
-                (Valid(Semantic::TexCoords(1)), uvs),
+                (Valid(Semantic::TexCoords(0)), base),
+                (Valid(Semantic::TexCoords(1)), lightmap),
             ]),
             indices: Some(indices),
             material: None,
@@ -130,7 +133,7 @@ impl Builder {
             material.emissive_texture = Some(self.texture(path, "emission", &encode_srgb(&normalised), sampler)?);
             material.emissive_factor = EmissiveFactor([1.0; 3]);
             let emissive_strength = Some(EmissiveStrength { emissive_strength: EmissiveStrengthFactor(strength) });
-            material.extensions = Some(MaterialExtensions { emissive_strength });
+            material.extensions = Some(MaterialExtensions { emissive_strength, ..Default::default() });
             self.root.extensions_used.push("KHR_materials_emissive_strength".to_owned());
         }
         Ok(self.root.push(material))
@@ -157,11 +160,12 @@ impl Builder {
         let root = self.root.push(root);
         let scene = Scene { nodes: vec![root], name: name("texir"), extensions: None, extras: None };
         self.root.scene = Some(self.root.push(scene));
-        self.root.asset.generator = Some(concat!("texir ", env!("CARGO_PKG_VERSION")).to_owned());
     }
 
-    fn write(mut self, path: &Path) -> Result<()> {
+    /// Writes everything collected.
+    pub fn write(mut self, path: &Path) -> Result<()> {
         self.pad();
+        self.root.asset.generator = Some(concat!("texir ", env!("CARGO_PKG_VERSION")).to_owned());
         self.root.buffers.push(Buffer {
             byte_length: USize64::from(self.bytes.len()),
             name: None,
@@ -186,6 +190,23 @@ impl Builder {
     /// Aligns what comes next to four bytes.
     fn pad(&mut self) {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+    }
+
+    /// An image with its file's bytes inside.
+    pub fn image(&mut self, name: Option<String>, mime_type: &str, file: &[u8]) -> Image {
+        let append = |bytes: &mut Vec<u8>| {
+            bytes.extend_from_slice(file);
+            Ok::<(), std::convert::Infallible>(())
+        };
+        let Ok(view) = self.view("image", None, append);
+        Image {
+            buffer_view: Some(view),
+            mime_type: Some(MimeType(mime_type.to_owned())),
+            name,
+            uri: None,
+            extensions: None,
+            extras: None,
+        }
     }
 
     /// A buffer view over what `append` adds to the binary chunk.

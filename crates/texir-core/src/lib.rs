@@ -3,6 +3,7 @@
 
 pub mod atlas;
 pub mod atomic_file;
+pub mod authored;
 pub mod backend;
 pub mod bake;
 pub mod brdf;
@@ -21,6 +22,7 @@ pub mod glb;
 pub mod hdr;
 pub mod image_io;
 mod inpaint;
+pub mod lightmap;
 pub mod lights;
 pub mod mesh;
 pub mod mesh_io;

@@ -1,14 +1,16 @@
 //! `texir bake`: irradiance at every texel of the atlas.
 
+mod authored;
+
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::backend::Gather;
 use texir_core::bake::{self, Buried, Journal};
 use texir_core::capture::{self, LoadOptions};
-use texir_core::image_io::write_rgb;
+use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
 use texir_core::progress::Progress;
@@ -22,15 +24,15 @@ use crate::failure::Failure;
 /// Arguments of `texir bake`.
 #[derive(Debug, Args)]
 pub struct Bake {
-    /// Capture folder, or a mesh file together with --tbl
+    /// Capture folder, a mesh file together with --tbl, or an authored scene: a .glb or .gltf with lights of its own
     input: PathBuf,
     /// HDR texture: the radiance that leaves every texel of the mesh
     #[arg(long, value_name = "FILE")]
     tbl: Option<PathBuf>,
-    /// Irradiance map, OpenEXR: ∫ L cosθ dω in full, not divided by π
+    /// Irradiance map (.exr, .hdr or .ktx2): ∫ L cosθ dω in full, not divided by π unless --profile says so
     #[arg(short, long, value_name = "FILE", default_value = "irradiance.exr")]
     output: PathBuf,
-    /// Side of the map, texels [default: the HDR texture's]
+    /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
     #[arg(long, value_name = "N")]
     size: Option<usize>,
     /// Rays per texel: half of them cosine-distributed, half towards the light sources
@@ -46,6 +48,26 @@ pub struct Bake {
     /// not darken what is seen beside them
     #[arg(long)]
     fill_buried: bool,
+    /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]
+    #[arg(long, value_enum)]
+    profile: Option<Engine>,
+    #[command(flatten)]
+    authored: authored::Authored,
+}
+
+/// Engines with a convention of their own.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Engine {
+    /// E/π, for `lightmap_exposure` 1
+    Bevy,
+    /// E/π, for LightmapGIData
+    Godot,
+    /// E/π, for the built-in pipeline
+    Unity,
+    /// E, for `lightMap`
+    Three,
+    /// E, attached to the GLB as MOZ_lightmap (Hubs)
+    Moz,
 }
 
 /// What `--json` prints.
@@ -65,6 +87,10 @@ impl Bake {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         if self.size == Some(0) || self.spp == 0 {
             return Err(Failure::new("--size and --spp must be at least 1"));
+        }
+        lightmap::check_extension(&self.output)?;
+        if self.is_authored() {
+            return authored::run(self, session);
         }
         let (scene, given) = self.load(session)?;
         let mut backend = device::open(&scene, session.config, session.console)?;
@@ -90,8 +116,7 @@ impl Bake {
         } else {
             bake::irradiance(backend.as_mut(), &atlas, gather, Some(&mut journal), session.console)?
         };
-        let buried = if self.fill_buried { Buried::Fill } else { Buried::Keep };
-        write_rgb(&self.output, &baked.map(&atlas, buried))?;
+        lightmap::write_lightmap(&self.output, &self.profile().lightmap(&baked.map(&atlas, self.buried())))?;
         journal.remove()?;
         let texels = atlas.texels.len();
         let rays = texels as u64 * u64::from(self.spp);
@@ -105,6 +130,26 @@ impl Bake {
         let mut name = self.output.as_os_str().to_owned();
         name.push(".partial");
         name.into()
+    }
+
+    /// Whether the input brings its own light: a glTF file without an HDR texture.
+    fn is_authored(&self) -> bool {
+        let extension = self.input.extension().unwrap_or_default().to_ascii_lowercase();
+        self.tbl.is_none() && !self.input.is_dir() && (extension == "glb" || extension == "gltf")
+    }
+
+    fn buried(&self) -> Buried {
+        if self.fill_buried { Buried::Fill } else { Buried::Keep }
+    }
+
+    fn profile(&self) -> Profile {
+        self.profile.map_or(Profile::Irradiance, |engine| match engine {
+            Engine::Bevy => Profile::Bevy,
+            Engine::Godot => Profile::Godot,
+            Engine::Unity => Profile::Unity,
+            Engine::Three => Profile::Three,
+            Engine::Moz => Profile::Moz,
+        })
     }
 
     fn load(&self, session: &Session<'_>) -> Result<(Scene, Light), Failure> {

@@ -74,7 +74,8 @@ impl Trace<f32> for Scene {
     }
 
     fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        let ray = Ray::new_inf(origin.0.into(), direction.0.into());
+        // obvhs takes −0 for negative in one place and for positive in another, and misses boxes.
+        let ray = Ray::new_inf(origin.0.into(), direction.0.map(|d| d + 0.0).into());
         let mut hit = RayHit::none();
         let found = self.bvh.ray_traverse(ray, &mut hit, |_, id| {
             let triangle = self.bvh.primitive_indices[id];

@@ -5,6 +5,8 @@
 
 mod encoded;
 mod exr;
+mod hdr;
+mod ktx2;
 mod png;
 
 use std::fs::File;
@@ -15,6 +17,8 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 pub use self::encoded::{Encoded, TransferCurve, is_encoded, read_encoded};
 pub use self::exr::{write_gray, write_rgb};
+pub use self::hdr::{encode_hdr, write_hdr};
+pub use self::ktx2::write_ktx2;
 pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};

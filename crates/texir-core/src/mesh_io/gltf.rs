@@ -1,4 +1,5 @@
-//! glTF and GLB geometry: the default scene's nodes, transformed to world space. Materials and images are left alone.
+//! glTF and GLB geometry: the default scene's nodes, transformed to world space. Materials and images are left alone
+//! ([`crate::authored`] reads those).
 
 use std::path::Path;
 
@@ -6,7 +7,7 @@ use glam::{Mat4, Vec2, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::Data;
 use gltf::mesh::Mode;
-use gltf::{Accessor, Document, Gltf, Primitive, Semantic};
+use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic};
 use gltf_json::validation::Checked;
 
 use super::{RawMesh, cannot_read};
@@ -36,19 +37,39 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
             format!("POSITION is accessor {index}; expected one of the {count}: is it damaged?"),
         ));
     }
+    // So does its reader of images.
+    let whole =
+        |image: &gltf_json::Image| image.uri.is_some() || (image.buffer_view.is_some() && image.mime_type.is_some());
+    if let Some(index) = root.images.iter().position(|image| !whole(image)) {
+        return Err(Error::file(path, format!("image {index} has no uri, nor a bufferView with its mimeType")));
+    }
     let document = Document::from_json(root).map_err(|e| cannot_read(path, e))?;
     Ok(Gltf { document, blob })
 }
 
-pub(super) fn read(path: &Path) -> Result<RawMesh> {
+/// A glTF or GLB with its buffers.
+pub(crate) struct Contents {
+    pub document: Document,
+    pub buffers: Vec<Data>,
+}
+
+/// Reads a file and the buffers that it refers to.
+pub(crate) fn load(path: &Path) -> Result<Contents> {
     let Gltf { document, blob } = open(path)?;
     let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| cannot_read(path, e))?;
+    Ok(Contents { document, buffers })
+}
+
+/// Calls `visit(node, world_from_node)` for every node of the default scene, parents first.
+pub(crate) fn for_each_node(
+    path: &Path,
+    document: &Document,
+    mut visit: impl FnMut(&Node, Mat4) -> Result<()>,
+) -> Result<()> {
     let scene = document
         .default_scene()
         .or_else(|| document.scenes().next())
         .ok_or_else(|| Error::file(path, "has no scene; expected one with a mesh"))?;
-
-    let mut raw = RawMesh::default();
     let mut visited = vec![false; document.nodes().len()];
     let mut stack: Vec<_> = scene.nodes().map(|n| (n, Mat4::IDENTITY)).collect();
     stack.reverse();
@@ -57,48 +78,78 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
             return Err(Error::file(path, format!("node {} is reached twice; expected a tree", node.index())));
         }
         let world_from_node = world_from_parent * Mat4::from_cols_array_2d(&node.transform().matrix());
-        for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
-            let place = format!("primitive {} of node {}", primitive.index(), node.index());
-            append(path, &place, &mut raw, &primitive, &buffers, world_from_node)?;
-        }
+        visit(&node, world_from_node)?;
         let children: Vec<_> = node.children().map(|c| (c, world_from_node)).collect();
         stack.extend(children.into_iter().rev());
     }
+    Ok(())
+}
+
+pub(super) fn read(path: &Path) -> Result<RawMesh> {
+    let Contents { document, buffers } = load(path)?;
+    let mut raw = RawMesh::default();
+    for_each_node(path, &document, |node, world_from_node| {
+        for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
+            let place = format!("primitive {} of node {}", primitive.index(), node.index());
+            let Some(surface) = surface(path, &place, &primitive, &buffers, world_from_node)? else {
+                raw.warnings.push(no_surface(path, &place, &primitive));
+                continue;
+            };
+            let base = raw.positions.len() as u32;
+            raw.positions.extend(surface.positions);
+            raw.normals.extend(surface.normals);
+            let [first, _] = surface.uvs;
+            raw.uvs.extend(first);
+            raw.triangles.extend(surface.triangles.iter().map(|t| t.map(|i| base + i)));
+        }
+        Ok(())
+    })?;
     Ok(raw)
 }
 
-fn append(
+/// What a primitive holds, in world space. Attributes are per vertex, indices in range.
+pub(crate) struct Surface {
+    pub positions: Vec<Vec3>,
+    pub normals: Vec<Option<Vec3>>,
+    /// TEXCOORD_0 and TEXCOORD_1.
+    pub uvs: [Vec<Option<Vec2>>; 2],
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// What to tell the user of a primitive of points or lines.
+pub(crate) fn no_surface(path: &Path, place: &str, primitive: &Primitive) -> String {
+    format!("{}: {place} is {:?}, no surface, and is left out", path.display(), primitive.mode())
+}
+
+/// Reads a primitive of triangles; `None` for points and lines.
+pub(crate) fn surface(
     path: &Path,
     place: &str,
-    raw: &mut RawMesh,
     primitive: &Primitive,
     buffers: &[Data],
     world_from_node: Mat4,
-) -> Result<()> {
+) -> Result<Option<Surface>> {
     match primitive.mode() {
         Mode::Triangles => {}
         mode @ (Mode::TriangleStrip | Mode::TriangleFan) => {
             return Err(Error::file(path, format!("{place} is a {mode:?}; expected a list of triangles")));
         }
-        mode => {
-            raw.warnings.push(format!("{}: {place} is {mode:?}, no surface, and is left out", path.display()));
-            return Ok(());
-        }
+        _ => return Ok(None),
     }
     check_accessors(path, place, primitive)?;
     let reader = primitive.reader(|buffer| buffers.get(buffer.index()).map(|data| data.0.as_slice()));
     let out_of_buffer = |what: &str| Error::file(path, format!("{place}: {what} reaches beyond its buffer"));
 
-    let base = raw.positions.len() as u32;
     let positions = reader.read_positions().ok_or_else(|| out_of_buffer("POSITION"))?;
-    raw.positions.extend(positions.map(|p| world_from_node.transform_point3(p.into())));
-    let count = raw.positions.len() - base as usize;
-
+    let positions: Vec<Vec3> = positions.map(|p| world_from_node.transform_point3(p.into())).collect();
+    let count = positions.len();
+    // As many as positions, absent where the file has none.
+    fn padded<T: Clone>(values: Option<impl Iterator<Item = T>>, count: usize) -> Vec<Option<T>> {
+        values.into_iter().flatten().map(Some).chain(std::iter::repeat(None)).take(count).collect()
+    }
     let normal_from_node = world_from_node.inverse().transpose();
-    let normals = reader.read_normals().map(|n| n.map(|n| Some(normal_from_node.transform_vector3(Vec3::from(n)))));
-    raw.normals.extend(normals.into_iter().flatten().chain(std::iter::repeat(None)).take(count));
-    let uvs = reader.read_tex_coords(0).map(|uvs| uvs.into_f32().map(|uv| Some(Vec2::from(uv))));
-    raw.uvs.extend(uvs.into_iter().flatten().chain(std::iter::repeat(None)).take(count));
+    let normals = reader.read_normals().map(|n| n.map(|n| normal_from_node.transform_vector3(Vec3::from(n))));
+    let uvs = [0, 1].map(|set| padded(reader.read_tex_coords(set).map(|uvs| uvs.into_f32().map(Vec2::from)), count));
 
     let indices: Vec<u32> = match primitive.indices() {
         Some(_) => reader.read_indices().ok_or_else(|| out_of_buffer("indices"))?.into_u32().collect(),
@@ -109,8 +160,8 @@ fn append(
     }
     // A mirroring transform turns the winding around.
     let order = if world_from_node.determinant() < 0.0 { [0, 2, 1] } else { [0, 1, 2] };
-    raw.triangles.extend(indices.chunks_exact(3).map(|t| order.map(|corner| base + t[corner])));
-    Ok(())
+    let triangles = indices.chunks_exact(3).map(|t| order.map(|corner| t[corner])).collect();
+    Ok(Some(Surface { positions, normals: padded(normals, count), uvs, triangles }))
 }
 
 /// The component types that the specification allows: the accessor reader relies on them.
@@ -139,5 +190,6 @@ fn check_accessors(path: &Path, place: &str, primitive: &Primitive) -> Result<()
     check("POSITION", primitive.get(&Semantic::Positions), Dimensions::Vec3, &[F32])?;
     check("NORMAL", primitive.get(&Semantic::Normals), Dimensions::Vec3, &[F32])?;
     check("TEXCOORD_0", primitive.get(&Semantic::TexCoords(0)), Dimensions::Vec2, &[F32, U8, U16])?;
+    check("TEXCOORD_1", primitive.get(&Semantic::TexCoords(1)), Dimensions::Vec2, &[F32, U8, U16])?;
     check("indices", primitive.indices(), Dimensions::Scalar, &[U8, U16, U32])
 }

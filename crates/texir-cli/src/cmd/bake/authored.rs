@@ -1,0 +1,126 @@
+//! `texir bake scene.glb`: all the light of an authored scene, and the scene with its lightmap's coordinates.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+use texir_core::atlas::Atlas;
+use texir_core::authored::{self, Bounces, write_lightmapped_glb};
+use texir_core::backend::Gather;
+use texir_core::environment::Environment;
+use texir_core::image_io::{read_rgb, sanitise_radiance};
+use texir_core::lightmap::{Profile, write_lightmap};
+use texir_core::progress::Progress;
+use texir_core::scene::Scene;
+
+use super::Bake;
+use crate::cmd::Session;
+use crate::device;
+use crate::failure::Failure;
+
+/// Columns of the lightmap where `--size` does not say.
+const DEFAULT_SIZE: usize = 1024;
+
+/// Arguments for scenes with lights of their own.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Authored scenes (.glb, .gltf without --tbl)")]
+pub struct Authored {
+    /// Light from far away: an equirectangular panorama (.hdr, .exr), +Y up, +X in its centre
+    #[arg(long, value_name = "FILE")]
+    environment: Option<PathBuf>,
+    /// Luminance that 1 in the environment stands for, nits
+    #[arg(long, value_name = "NITS", default_value_t = 1.0, requires = "environment")]
+    environment_nits: f32,
+    /// Stop when further bounces would add less than this share of all light
+    #[arg(long, value_name = "SHARE", default_value_t = 0.005)]
+    tolerance: f32,
+    /// Stop after N bounces even so; 0 bakes direct light alone
+    #[arg(long, value_name = "N", default_value_t = 64)]
+    bounces: u32,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary {
+    output: PathBuf,
+    scene: PathBuf,
+    width: usize,
+    height: usize,
+    texels: usize,
+    /// Texels inside other geometry.
+    buried: usize,
+    rays: u64,
+    /// Mean irradiance of the direct light and of every bounce, lux.
+    series: Vec<f64>,
+    /// Estimated share of all light that further bounces would add; absent after direct light alone.
+    remainder: Option<f64>,
+}
+
+/// Bakes the scene that `bake.input` is.
+pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
+    let options = &bake.authored;
+    if !(options.tolerance >= 0.0 && options.environment_nits >= 0.0 && options.environment_nits.is_finite()) {
+        return Err(Failure::new("--tolerance and --environment-nits must be numbers of at least 0"));
+    }
+    let glb = bake.output.with_extension("glb");
+    let is_input = |path: &PathBuf| path.canonicalize().is_ok_and(|p| bake.input.canonicalize().is_ok_and(|i| i == p));
+    if is_input(&glb) {
+        return Err(Failure::new(format!("{}: the baked scene would replace its source", glb.display()))
+            .help("give --output another name or folder"));
+    }
+    let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
+    let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), session.console)?;
+    let [width, height] = model.size;
+    let scene = Scene::new(model.mesh.clone())?;
+    let mut backend = device::open(&scene, session.config, session.console)?;
+    let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
+    let surfaces = model.surfaces(backend.as_mut(), &atlas, environment)?;
+    if surfaces.is_dark() {
+        return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(
+            "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
+        ));
+    }
+    let light = if bake.cosine_only { 0 } else { bake.spp / 2 };
+    let bounces = Bounces {
+        gather: Gather { cosine: bake.spp - light, light, seed: session.config.fit.seed },
+        denoise: !bake.no_denoise,
+        tolerance: options.tolerance,
+        most: options.bounces,
+    };
+    let solved = authored::irradiance(backend.as_mut(), &scene.mesh, &atlas, &surfaces, &bounces, session.console)?;
+    let map = bake.profile().lightmap(&solved.baked.map(&atlas, bake.buried()));
+    write_lightmap(&bake.output, &map)?;
+    let attached = (bake.profile() == Profile::Moz).then_some(&map);
+    write_lightmapped_glb(&glb, &bake.input, &model, attached)?;
+    let summary = Summary {
+        output: bake.output.clone(),
+        scene: glb,
+        width,
+        height,
+        texels: atlas.texels.len(),
+        buried: solved.baked.buried.iter().filter(|inside| **inside).count(),
+        rays: solved.rays,
+        remainder: solved.remainder.is_finite().then_some(solved.remainder),
+        series: solved.series,
+    };
+    session.print(&summary, || {
+        let left = summary.remainder.map_or(String::new(), |r| format!(", {:.2} % left out", 100.0 * r));
+        format!(
+            "{}, {}: {width} × {height}, {} texels, {} bounces{left}",
+            summary.output.display(),
+            summary.scene.display(),
+            summary.texels,
+            summary.series.len() - 1
+        )
+    })
+}
+
+fn read_environment(path: &PathBuf, options: &Authored, session: &Session<'_>) -> Result<Environment, Failure> {
+    let mut radiance = read_rgb(path)?;
+    let found = sanitise_radiance(&mut radiance);
+    if !found.is_clean() {
+        session.console.warn(&format!("{}: {found}", path.display()));
+    }
+    radiance.data.iter_mut().flatten().for_each(|v| *v *= options.environment_nits);
+    Environment::new(radiance).map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}

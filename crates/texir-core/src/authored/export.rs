@@ -1,0 +1,118 @@
+//! The baked scene as a GLB: its surfaces in world space with the lightmap's coordinates in TEXCOORD_1, its materials and
+//! images as they were. Lights, cameras and animations are left out: the light is in the map.
+
+use std::path::Path;
+
+use glam::Vec2;
+use gltf_json::texture::{MagFilter, MinFilter, Sampler, WrappingMode};
+use gltf_json::validation::Checked::Valid;
+use gltf_json::{Index, Mesh as GltfMesh, Node, Scene, Texture};
+use serde_json::json;
+
+use super::gltf::{Model, Part};
+use super::texture::encoded;
+use crate::error::{Error, Result};
+use crate::glb::Builder;
+use crate::image_io::encode_hdr;
+use crate::mesh::Mesh;
+use crate::mesh_io::gltf::{self as geometry, Contents};
+use crate::raster::Rgb;
+
+/// Extensions of the source that are kept, by prefix: those of materials and images.
+const KEPT: [&str; 3] = ["KHR_materials_", "KHR_texture_", "EXT_texture_"];
+
+/// Writes the scene that `source` holds and `model` was read from.
+///
+/// `attached`: an irradiance map to be put inside, as every material's `MOZ_lightmap` (a Radiance HDR image, marked by
+/// `MOZ_texture_rgbe`).
+pub fn write_lightmapped_glb(
+    path: impl AsRef<Path>,
+    source: impl AsRef<Path>,
+    model: &Model,
+    attached: Option<&Rgb>,
+) -> Result<()> {
+    let (path, source) = (path.as_ref(), source.as_ref());
+    let Contents { document, buffers } = geometry::load(source)?;
+    let mut builder = Builder::default();
+    for image in document.images() {
+        let file = encoded(source, &image, &buffers)?;
+        let name = image.name().map(str::to_owned);
+        let image = builder.image(name, mime_type(&file), &file);
+        builder.root.images.push(image);
+    }
+    let from = document.into_json();
+    let root = &mut builder.root;
+    (root.materials, root.textures, root.samplers) = (from.materials, from.textures, from.samplers);
+    let kept = |names: Vec<String>| names.into_iter().filter(|n| KEPT.iter().any(|prefix| n.starts_with(prefix)));
+    root.extensions_used.extend(kept(from.extensions_used));
+    root.extensions_required.extend(kept(from.extensions_required));
+    if let Some(irradiance) = attached {
+        attach(path, &mut builder, irradiance)?;
+    }
+
+    let (mut nodes, mut first) = (Vec::new(), 0);
+    for part in &model.parts {
+        let lightmap = &model.mesh.uvs[first..first + part.positions.len()];
+        first += part.positions.len();
+        nodes.push(add(&mut builder, part, lightmap));
+    }
+    let scene = Scene { nodes, name: Some("lightmapped".to_owned()), extensions: None, extras: None };
+    builder.root.scene = Some(builder.root.push(scene));
+    builder.write(path)
+}
+
+/// Adds a part with its lightmap's coordinates.
+fn add(builder: &mut Builder, part: &Part, lightmap: &[Vec2]) -> Index<Node> {
+    let mesh = Mesh {
+        positions: part.positions.clone(),
+        normals: part.normals.clone(),
+        uvs: lightmap.to_vec(),
+        triangles: part.triangles.clone(),
+    };
+    let mut primitive = builder.primitive(&mesh, &part.uvs[0]);
+    primitive.material = part.material.map(|index| Index::new(index as u32));
+    let mesh = builder.root.push(GltfMesh {
+        name: Some(part.name.clone()),
+        primitives: vec![primitive],
+        weights: None,
+        extensions: None,
+        extras: None,
+    });
+    builder.root.push(Node { mesh: Some(mesh), name: Some(part.name.clone()), ..Node::default() })
+}
+
+/// Gives every material the irradiance as `MOZ_lightmap`.
+fn attach(path: &Path, builder: &mut Builder, irradiance: &Rgb) -> Result<()> {
+    let mut file = Vec::new();
+    encode_hdr(irradiance, &mut file).map_err(|e| Error::file(path, format!("the lightmap cannot be encoded: {e}")))?;
+    let image = builder.image(Some("lightmap".to_owned()), "image/vnd.radiance", &file);
+    let image = builder.root.push(image);
+    let sampler = builder.root.push(Sampler {
+        mag_filter: Some(Valid(MagFilter::Linear)),
+        min_filter: Some(Valid(MinFilter::Linear)),
+        wrap_s: Valid(WrappingMode::ClampToEdge),
+        wrap_t: Valid(WrappingMode::ClampToEdge),
+        ..Sampler::default()
+    });
+    let mut extensions = gltf_json::extensions::texture::Texture::default();
+    extensions.others.insert("MOZ_texture_rgbe".to_owned(), json!({ "source": image.value() }));
+    let texture = builder.root.push(Texture {
+        name: Some("lightmap".to_owned()),
+        sampler: Some(sampler),
+        source: image,
+        extensions: Some(extensions),
+        extras: None,
+    });
+    let lightmap = json!({ "index": texture.value(), "texCoord": 1, "intensity": 1.0 });
+    for material in &mut builder.root.materials {
+        let extensions = material.extensions.get_or_insert_default();
+        extensions.others.insert("MOZ_lightmap".to_owned(), lightmap.clone());
+    }
+    builder.root.extensions_used.extend(["MOZ_lightmap", "MOZ_texture_rgbe"].map(str::to_owned));
+    Ok(())
+}
+
+/// PNG or JPEG, the two that glTF knows, by the first bytes.
+fn mime_type(file: &[u8]) -> &'static str {
+    if file.starts_with(&[0x89, b'P', b'N', b'G']) { "image/png" } else { "image/jpeg" }
+}

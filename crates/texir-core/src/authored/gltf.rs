@@ -1,0 +1,273 @@
+//! Authored scenes from glTF and GLB: geometry with the lightmap's coordinates, Lambertian materials with their emission
+//! (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
+//!
+//! Base colour is the albedo, metals included: what they reflect is taken for diffuse. Alpha, vertex colours, skins and
+//! morph targets are left out.
+
+use std::path::Path;
+
+use glam::{Mat4, Vec2, Vec3};
+use gltf::khr_lights_punctual::Kind;
+use gltf::{Document, Material, Node};
+use image::RgbImage;
+use rayon::prelude::*;
+
+use super::texture::{Colour, Texture, decoded};
+use super::{Surfaces, unwrap};
+use crate::atlas::Atlas;
+use crate::backend::Backend;
+use crate::bake::PADDING;
+use crate::environment::Environment;
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+use crate::mesh_io::gltf::{self as geometry, Contents};
+use crate::progress::Progress;
+use crate::punctual::PunctualLight;
+use crate::raster::Rgb;
+use crate::surface::Hit;
+
+/// Points per texel and axis at which materials are looked up: images are finer than lightmaps.
+const LOOKUPS: usize = 2;
+
+/// One primitive of the scene, placed in the world.
+pub(crate) struct Part {
+    pub positions: Vec<Vec3>,
+    pub normals: Vec<Vec3>,
+    /// TEXCOORD_0 and TEXCOORD_1, zero where the file has none.
+    pub uvs: [Vec<Vec2>; 2],
+    /// Which of them it has at every vertex.
+    pub has_uvs: [bool; 2],
+    pub triangles: Vec<[u32; 3]>,
+    /// Index of the material in the document; `None`: glTF's default.
+    pub material: Option<usize>,
+    /// The node's name, or its index.
+    pub name: String,
+}
+
+/// What a material emits and reflects.
+struct Shading {
+    albedo: Colour,
+    emission: Colour,
+}
+
+/// A scene as its file describes it, with the coordinates of its lightmap.
+pub struct Model {
+    /// All surfaces in world space, metres, +Y up; `uvs` are the lightmap's.
+    pub mesh: Mesh,
+    /// Columns and rows of the lightmap.
+    pub size: [usize; 2],
+    /// Points, spots and distant lights.
+    pub lights: Vec<PunctualLight>,
+    /// The primitives, whose vertices and triangles `mesh` holds one after the other.
+    pub(crate) parts: Vec<Part>,
+    /// By document index, glTF's default material last.
+    shading: Vec<Shading>,
+    /// By document index; only those that shading needs.
+    images: Vec<Option<RgbImage>>,
+}
+
+/// Reads a scene whose lightmap is to have `size` columns.
+///
+/// Its coordinates are TEXCOORD_1 where that gives every surface a place of its own, otherwise TEXCOORD_0 where that does;
+/// otherwise the scene is unwrapped, into a map of `size` columns and at most as many rows.
+pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -> Result<Model> {
+    let path = path.as_ref();
+    let Contents { document, buffers } = geometry::load(path)?;
+    let (mut parts, mut lights) = (Vec::new(), Vec::new());
+    geometry::for_each_node(path, &document, |node, world_from_node| {
+        for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
+            let place = format!("primitive {} of node {}", primitive.index(), node.index());
+            match geometry::surface(path, &place, &primitive, &buffers, world_from_node)? {
+                Some(surface) => parts.push(Part::new(path, &place, node, primitive.material().index(), surface)?),
+                None => progress.warn(&geometry::no_surface(path, &place, &primitive)),
+            }
+        }
+        if let Some(light) = node.light() {
+            let light = punctual(&light, world_from_node);
+            light.check().map_err(|e| Error::file(path, format!("the light of node {}: {e}", node.index())))?;
+            lights.push(light);
+        }
+        Ok(())
+    })?;
+    parts.retain(|part| !part.triangles.is_empty());
+    if parts.is_empty() {
+        return Err(Error::file(path, "has no triangles with an area; expected a scene"));
+    }
+    let shading = shading(path, &document)?;
+    let used = shading.iter().flat_map(|s| [&s.albedo, &s.emission]).filter_map(|c| c.texture.as_ref());
+    let used: Vec<usize> = used.map(|texture| texture.image).collect();
+    let images = (document.images())
+        .map(|image| used.contains(&image.index()).then(|| decoded(path, &image, &buffers)).transpose())
+        .collect::<Result<_>>()?;
+    let mut model = Model { mesh: Mesh::default(), size: [size; 2], lights, parts, shading, images };
+    model.lay_out(size, progress)?;
+    Ok(model)
+}
+
+impl Model {
+    /// Chooses the lightmap's coordinates, and joins the parts.
+    fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<()> {
+        for set in [1, 0] {
+            if self.parts.iter().all(|part| part.has_uvs[set]) {
+                self.mesh = joined(&self.parts, self.parts.iter().map(|part| part.uvs[set].as_slice()));
+                if unwrap::is_lightmap(&self.mesh) {
+                    return Ok(());
+                }
+            }
+        }
+        let (unwrapped, page) = unwrap::unwrap(&self.parts, size, progress)?;
+        self.size = page;
+        for (part, new) in self.parts.iter_mut().zip(&unwrapped) {
+            let from = |values: &[Vec3]| new.source.iter().map(|&i| values[i as usize]).collect();
+            (part.positions, part.normals) = (from(&part.positions), from(&part.normals));
+            part.uvs = [0, 1].map(|set: usize| new.source.iter().map(|&i| part.uvs[set][i as usize]).collect());
+            part.triangles.clone_from(&new.triangles);
+        }
+        self.mesh = joined(&self.parts, unwrapped.iter().map(|new| new.uvs.as_slice()));
+        Ok(())
+    }
+
+    /// What the scene emits and reflects at the texels of its lightmap; the mean over a few points of each.
+    pub fn surfaces(
+        &self,
+        backend: &mut dyn Backend,
+        atlas: &Atlas,
+        environment: Option<Environment>,
+    ) -> Result<Surfaces> {
+        let columns = LOOKUPS * atlas.width;
+        let hits = backend.texels(columns, LOOKUPS * atlas.height)?;
+        let materials = self.materials();
+        let texel = |&texel: &u32| {
+            let (x, y) = (texel as usize % atlas.width, texel as usize / atlas.width);
+            let points =
+                (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
+            let found: Vec<&Hit> = points.map(|i| &hits[i]).filter(|hit| hit.is_hit()).collect();
+            let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
+                let at = self.at(hit, materials[hit.triangle as usize]);
+                [sum[0] + at[0], sum[1] + at[1]]
+            });
+            sum.map(|sum| (sum / found.len().max(1) as f32).to_array())
+        };
+        let texels: Vec<[[f32; 3]; 2]> = atlas.texels.par_iter().map(texel).collect();
+        let map = |which: usize| -> Rgb {
+            let values: Vec<[f32; 3]> = texels.iter().map(|t| t[which]).collect();
+            atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING)
+        };
+        Ok(Surfaces { albedo: map(0), emission: map(1), lights: self.lights.clone(), environment })
+    }
+
+    /// Per triangle of the mesh: the place in `shading`, and the part with its first vertex.
+    fn materials(&self) -> Vec<(usize, usize, u32)> {
+        let (mut all, mut first) = (Vec::with_capacity(self.mesh.triangles.len()), 0);
+        for (i, part) in self.parts.iter().enumerate() {
+            let shading = part.material.unwrap_or(self.shading.len() - 1);
+            all.extend(std::iter::repeat_n((shading, i, first), part.triangles.len()));
+            first += part.positions.len() as u32;
+        }
+        all
+    }
+
+    /// Albedo and emission at a point.
+    fn at(&self, hit: &Hit, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
+        let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
+        let uvs = self.parts[part].uvs.each_ref().map(|uvs| {
+            let [a, b, c] = corners.map(|i| uvs[i]);
+            a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
+        });
+        let Shading { albedo, emission } = &self.shading[shading];
+        [albedo.at(uvs, &self.images).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uvs, &self.images)]
+    }
+}
+
+impl Part {
+    fn new(path: &Path, place: &str, node: &Node, material: Option<usize>, surface: geometry::Surface) -> Result<Self> {
+        let geometry::Surface { positions, normals, uvs, mut triangles } = surface;
+        let uvs_finite = uvs.iter().flatten().flatten().all(|uv| uv.is_finite());
+        if !positions.iter().all(|p| p.is_finite()) || !uvs_finite {
+            return Err(Error::file(path, format!("{place} has coordinates that are not finite numbers")));
+        }
+        let area = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|i| positions[i as usize]);
+            (b - a).cross(c - a)
+        };
+        triangles.retain(|t| area(t).length_squared() > 0.0);
+        let normals: Vec<Option<Vec3>> = normals.iter().map(|n| n.and_then(Vec3::try_normalize)).collect();
+        let has_uvs = uvs.each_ref().map(|uvs| uvs.iter().all(Option::is_some));
+        let uvs = uvs.map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect());
+        let name = node.name().map_or(format!("node {}", node.index()), str::to_owned);
+        let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name };
+        Ok(part.with_normals(&normals))
+    }
+
+    /// Where normals are missing, the specification asks for flat ones: every triangle takes vertices of its own.
+    fn with_normals(mut self, normals: &[Option<Vec3>]) -> Self {
+        if let Some(normals) = normals.iter().copied().collect() {
+            return Self { normals, ..self };
+        }
+        let corners: Vec<u32> = self.triangles.as_flattened().to_vec();
+        self.positions = corners.iter().map(|&i| self.positions[i as usize]).collect();
+        self.uvs = self.uvs.map(|uvs: Vec<Vec2>| corners.iter().map(|&i| uvs[i as usize]).collect());
+        self.triangles = (0..self.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let flat = |k: usize| {
+            let [a, b, c] = [0, 1, 2].map(|corner| self.positions[k / 3 * 3 + corner]);
+            normals[corners[k] as usize].unwrap_or((b - a).cross(c - a).normalize_or_zero())
+        };
+        let normals = (0..corners.len()).map(flat).collect();
+        Self { normals, ..self }
+    }
+}
+
+/// All parts as one mesh, with the lightmap's coordinates of each.
+fn joined<'a>(parts: &[Part], lightmap: impl Iterator<Item = &'a [Vec2]>) -> Mesh {
+    let mut mesh = Mesh::default();
+    for (part, uvs) in parts.iter().zip(lightmap) {
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(&part.positions);
+        mesh.normals.extend(&part.normals);
+        mesh.uvs.extend(uvs);
+        mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|i| first + i)));
+    }
+    mesh
+}
+
+/// All materials of the document, then glTF's default.
+fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
+    let texture = |info: Option<gltf::texture::Info>| info.map(|info| Texture::new(path, &info)).transpose();
+    let of = |material: Material| -> Result<Shading> {
+        let base = material.pbr_metallic_roughness();
+        let [r, g, b, _] = base.base_color_factor();
+        let strength = material.emissive_strength().unwrap_or(1.0);
+        let emitted = Vec3::from(material.emissive_factor()) * strength;
+        if !(emitted.min_element() >= 0.0 && emitted.is_finite() && Vec3::new(r, g, b).is_finite()) {
+            let name = material.name().unwrap_or_default();
+            return Err(Error::file(
+                path,
+                format!("material \"{name}\" emits {emitted} and reflects ({r}, {g}, {b}); expected positive numbers"),
+            ));
+        }
+        Ok(Shading {
+            albedo: Colour { factor: Vec3::new(r, g, b), texture: texture(base.base_color_texture())? },
+            emission: Colour { factor: emitted, texture: texture(material.emissive_texture())? },
+        })
+    };
+    let white = Colour { factor: Vec3::ONE, texture: None };
+    let black = Colour { factor: Vec3::ZERO, texture: None };
+    let mut all: Vec<Shading> = document.materials().map(of).collect::<Result<_>>()?;
+    all.push(Shading { albedo: white, emission: black });
+    Ok(all)
+}
+
+/// A light in the frame of its node, shining along −Z.
+fn punctual(light: &gltf::khr_lights_punctual::Light, world_from_node: Mat4) -> PunctualLight {
+    let position = world_from_node.w_axis.truncate().to_array();
+    let direction = world_from_node.transform_vector3(Vec3::NEG_Z).normalize_or(Vec3::NEG_Z).to_array();
+    let intensity = light.color().map(|c| c * light.intensity());
+    let near = match light.kind() {
+        Kind::Directional => return PunctualLight::distant(direction, intensity),
+        Kind::Point => PunctualLight::point(position, intensity),
+        Kind::Spot { inner_cone_angle, outer_cone_angle } => {
+            PunctualLight::spot(position, direction, intensity, [inner_cone_angle, outer_cone_angle])
+        }
+    };
+    light.range().map_or(near, |range| near.with_range(range))
+}

@@ -1,0 +1,44 @@
+//! Light of scenes as their authors describe them: emissive surfaces, punctual lights, an environment, and all that
+//! bounces between Lambertian surfaces.
+//!
+//! [`read_gltf`] makes a [`Model`] of a glTF file; [`Surfaces`] hold what a renderer needs to know of it per texel of the
+//! lightmap, and can as well be filled by an engine from its own scene; [`irradiance`] solves the light.
+//!
+//! Photometric: emission and environment are luminance in nits (cd/m²), intensities in candela, distant lights in lux, and
+//! irradiance comes out as illuminance in lux, all per linear RGB channel. Any other consistent set of units scales alike.
+
+mod export;
+mod gltf;
+mod solve;
+mod texture;
+mod unwrap;
+
+pub use self::export::write_lightmapped_glb;
+pub use self::gltf::{Model, read_gltf};
+pub use self::solve::{Bounces, Solved, irradiance};
+use crate::environment::Environment;
+use crate::punctual::PunctualLight;
+use crate::raster::Rgb;
+
+/// What an authored scene emits and reflects, per texel of the lightmap, and the light that is not on its surfaces.
+#[derive(Clone, Debug)]
+pub struct Surfaces {
+    /// Lambertian albedo, linear, in [0, 1]; continued around the charts by [`crate::bake::PADDING`] texels.
+    pub albedo: Rgb,
+    /// Emitted radiance, the same in every direction of the front; continued likewise.
+    pub emission: Rgb,
+    /// Points, spots and distant lights, in world space.
+    pub lights: Vec<PunctualLight>,
+    /// What rays see that leave the scene.
+    pub environment: Option<Environment>,
+}
+
+impl Surfaces {
+    /// Nothing shines: no emission, no lights, no environment.
+    pub fn is_dark(&self) -> bool {
+        let black = |map: &Rgb| map.data.iter().flatten().all(|v| *v == 0.0);
+        self.lights.is_empty()
+            && black(&self.emission)
+            && self.environment.as_ref().is_none_or(|environment| black(environment.radiance()))
+    }
+}

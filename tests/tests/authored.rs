@@ -1,0 +1,416 @@
+//! Authored scenes: the solver against the analytic series and a path tracer, the loader against what it was given.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::f64::consts::PI;
+
+use glam::{Mat4, Vec2, Vec3};
+use serde_json::json;
+use texir_core::atlas::Atlas;
+use texir_core::authored::{Bounces, Model, Solved, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
+use texir_core::backend::{Backend, Gather};
+use texir_core::cpu::CpuBackend;
+use texir_core::cpu::irradiance::cosine_direction;
+use texir_core::cpu::trace::{Exhaustive, Trace};
+use texir_core::environment::Environment;
+use texir_core::mesh_io::atlas_report;
+use texir_core::progress::Silent;
+use texir_core::raster::Rgb;
+use texir_core::real::V3;
+use texir_core::rng::hash2;
+use texir_core::scene::Scene;
+use texir_core::surface::SurfacePoint;
+use texir_gpu::GpuBackend;
+use texir_tests::compare::Tolerance;
+use texir_tests::gltf::Document;
+use texir_tests::{gpu, scenes};
+
+const BOUNCES: Bounces =
+    Bounces { gather: Gather { cosine: 32, light: 32, seed: 3 }, denoise: true, tolerance: 1e-3, most: 64 };
+
+fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Solved {
+    irradiance(backend, &scene.mesh, atlas, surfaces, bounces, &Silent).unwrap()
+}
+
+#[test]
+fn a_closed_box_is_a_furnace_bounce_by_bounce() {
+    let mut builder = scenes::Builder::default();
+    builder.cuboid(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), true);
+    let scene = Scene::new(builder.finish()).unwrap();
+    let (albedo, emission) = ([0.6, 0.3, 0.1], [2.0f32, 1.0, 0.5]);
+    let gpu = gpu();
+    let backends: [Box<dyn Backend>; 2] =
+        [Box::new(GpuBackend::new(&gpu, &scene).unwrap()), Box::new(CpuBackend::new(&scene))];
+    for mut backend in backends {
+        let atlas = Atlas::new(backend.as_mut(), &scene, 96, 96).unwrap();
+        let surfaces = Surfaces {
+            albedo: Rgb::filled(96, 96, albedo),
+            emission: Rgb::filled(96, 96, emission),
+            lights: vec![],
+            environment: None,
+        };
+        // E = π Le Σ_{j ≤ k} ρ^j after k bounces, at every texel.
+        let series = |bounces: usize| {
+            [0, 1, 2].map(|c| {
+                let powers = (0..=bounces).map(|j| f64::from(albedo[c]).powi(j as i32));
+                PI * f64::from(emission[c]) * powers.sum::<f64>()
+            })
+        };
+        let lanes = |solved: &Solved| -> Vec<f64> {
+            (solved.baked.irradiance.iter().zip(&atlas.inside))
+                .filter(|(_, inside)| **inside)
+                .flat_map(|(e, _)| e.map(f64::from))
+                .collect()
+        };
+        let tight = Tolerance { absolute: 0.0, relative: 2e-4 };
+        for most in [0, 1, 2, 4] {
+            let solved =
+                solve(backend.as_mut(), &scene, &atlas, &surfaces, &Bounces { most, tolerance: 0.0, ..BOUNCES });
+            let got = lanes(&solved);
+            let expected: Vec<f64> = series(most as usize).into_iter().cycle().take(got.len()).collect();
+            tight.check(&format!("{}, {most} bounces", backend.name()), &got, &expected);
+            // Negative control: a bounce more would be noticed.
+            let more: Vec<f64> = series(most as usize + 1).into_iter().cycle().take(got.len()).collect();
+            assert!(tight.failures(&got, &more).len() > got.len() / 2);
+            assert_eq!(solved.series.len(), most as usize + 1);
+        }
+        let solved = solve(backend.as_mut(), &scene, &atlas, &surfaces, &BOUNCES);
+        let closed: f64 = (0..3).map(|c| PI * f64::from(emission[c] / (1.0 - albedo[c]))).sum::<f64>() / 3.0;
+        let sum: f64 = solved.series.iter().sum();
+        assert!(solved.remainder <= 1e-3 && (sum / closed - 1.0).abs() < 1.5e-3, "{sum} of {closed}");
+    }
+}
+
+#[test]
+fn a_sky_lights_once_and_bounces_on() {
+    // Two open planes that face each other would be noisy; one plane reflects nothing back to itself: E = πL exactly.
+    let mut builder = scenes::Builder::default();
+    builder.quad([Vec3::ZERO, Vec3::Z, Vec3::Z + Vec3::X, Vec3::X], [Vec3::Y; 4]);
+    let scene = Scene::new(builder.finish()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, 32, 32).unwrap();
+    let surfaces = Surfaces {
+        albedo: Rgb::filled(32, 32, [0.9; 3]),
+        emission: Rgb::filled(32, 32, [0.0; 3]),
+        lights: vec![],
+        environment: Some(Environment::constant([1.0, 2.0, 3.0]).unwrap()),
+    };
+    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &BOUNCES);
+    let expected: Vec<f64> = solved.baked.irradiance.iter().flat_map(|_| [PI, 2.0 * PI, 3.0 * PI]).collect();
+    let got: Vec<f64> = solved.baked.irradiance.iter().flatten().map(|v| f64::from(*v)).collect();
+    Tolerance { absolute: 0.0, relative: 1e-5 }.check("E", &got, &expected);
+    assert_eq!((solved.series.len(), solved.remainder), (2, 0.0), "the second bounce is black, and the last");
+}
+
+/// A Cornell box as glTF: open in front, two turned boxes, a lamp under the ceiling. `(document, albedo by material)`.
+fn cornell() -> (Document, [[f32; 3]; 4]) {
+    const ALBEDO: [[f32; 3]; 4] = [[0.73; 3], [0.65, 0.05, 0.05], [0.12, 0.45, 0.15], [0.0; 3]];
+    let mut document = Document::default();
+    let [white, red, green, lamp] =
+        [0, 1, 2, 3].map(|m| document.material(ALBEDO[m], if m == 3 { [17.0, 12.0, 4.0] } else { [0.0; 3] }));
+    let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    let (l, r, b, t, n, f) = (-1.0, 1.0, 0.0, 2.0, 1.0, -1.0);
+    let here = Mat4::IDENTITY;
+    document.quad([at(l, b, f), at(l, b, n), at(r, b, n), at(r, b, f)], white, here, &[]);
+    document.quad([at(l, t, f), at(r, t, f), at(r, t, n), at(l, t, n)], white, here, &[]);
+    document.quad([at(l, b, f), at(r, b, f), at(r, t, f), at(l, t, f)], white, here, &[]);
+    document.quad([at(l, b, f), at(l, t, f), at(l, t, n), at(l, b, n)], red, here, &[]);
+    document.quad([at(r, b, f), at(r, b, n), at(r, t, n), at(r, t, f)], green, here, &[]);
+    let (s, y) = (0.3, 1.95);
+    document.quad([at(-s, y, -s), at(s, y, -s), at(s, y, s), at(-s, y, s)], lamp, here, &[]);
+    for (x, z, turn, height) in [(-0.35, -0.3, 0.3, 1.2), (0.35, 0.35, -0.3, 0.6)] {
+        let place = Mat4::from_translation(at(x, 0.0, z)) * Mat4::from_rotation_y(turn);
+        let place = place * Mat4::from_scale(at(0.6, height, 0.6));
+        let h = 0.5;
+        document.quad([at(-h, 1.0, -h), at(-h, 1.0, h), at(h, 1.0, h), at(h, 1.0, -h)], white, place, &[]);
+        for side in 0..4 {
+            let side = place * Mat4::from_rotation_y(side as f32 * std::f32::consts::FRAC_PI_2);
+            document.quad([at(-h, 0.0, h), at(h, 0.0, h), at(h, 1.0, h), at(-h, 1.0, h)], white, side, &[]);
+        }
+    }
+    (document, ALBEDO)
+}
+
+/// Reads a document through its file.
+fn load(document: &Document, size: usize) -> Model {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.gltf");
+    document.write(&path);
+    read_gltf(&path, size, &Silent).unwrap()
+}
+
+/// A path tracer in f64 without hierarchy, lightmap or bias: E(x) = D(x) + ρ(x₁) E(x₁), x₁ met by a cosine-distributed ray,
+/// D from a random point of the lamp.
+struct Twin<'a> {
+    exact: Exhaustive<'a>,
+    /// By triangle.
+    albedo: Vec<[f32; 3]>,
+    /// The lamp's two triangles, of one area.
+    lamp: [u32; 2],
+    emission: [f64; 3],
+}
+
+impl Twin<'_> {
+    fn irradiance(&self, point: &SurfacePoint, seed: u32, paths: u32) -> [f64; 3] {
+        let mut counter = 0;
+        let mut random = || {
+            counter += 1;
+            (f64::from(hash2(seed, counter)) + 0.5) / 4_294_967_296.0
+        };
+        let mut sum = [0.0; 3];
+        for _ in 0..paths {
+            let (mut weight, mut at) = ([1.0; 3], *point);
+            for _ in 0..40 {
+                let direct = self.direct(&at, &mut random);
+                (0..3).for_each(|c| sum[c] += weight[c] * direct[c]);
+                let n = V3::<f64>::of(at.normal);
+                let (tangent, bitangent) = texir_core::brdf::basis(n);
+                let V3([x, y, z]) = cosine_direction::<f64>([random() as f32, random() as f32]);
+                let direction = tangent * x + bitangent * y + n * z;
+                let Some(hit) = self.exact.closest(V3::of(at.position), direction) else { break };
+                let towards = -Vec3::from(direction.to_f32());
+                let found = texir_core::surface::Hit {
+                    triangle: hit.triangle,
+                    u: hit.u as f32,
+                    v: hit.v as f32,
+                    t: hit.t as f32,
+                };
+                at = SurfacePoint::new(self.exact.0, &found, Some(towards));
+                (0..3).for_each(|c| weight[c] *= f64::from(self.albedo[hit.triangle as usize][c]));
+                if weight.iter().all(|w| *w < 1e-4) {
+                    break;
+                }
+            }
+        }
+        sum.map(|v| v / f64::from(paths))
+    }
+
+    fn direct(&self, at: &SurfacePoint, random: &mut impl FnMut() -> f64) -> [f64; 3] {
+        let triangle = self.lamp[usize::from(random() < 0.5)];
+        let (root, v) = (random().sqrt(), random());
+        let [a, b, c] = self.exact.0.corners(triangle).map(|p| V3::<f64>::of(p.to_array()));
+        let target = a * (1.0 - root) + b * (root * (1.0 - v)) + c * (root * v);
+        let area = 2.0 * 0.5 * (b - a).cross(c - a).dot((b - a).cross(c - a)).sqrt();
+        let way = target - V3::of(at.position);
+        let d2 = way.dot(way);
+        let direction = way * (1.0 / d2.sqrt());
+        let cosine = V3::of(at.normal).dot(direction);
+        let facing = -(b - a).cross(c - a).normalize().dot(direction);
+        let seen = || {
+            let hit = Trace::<f64>::closest(&self.exact, V3::of(at.position), direction);
+            hit.is_some_and(|hit| self.lamp.contains(&hit.triangle))
+        };
+        if cosine > 0.0 && facing > 0.0 && seen() {
+            self.emission.map(|l| l * cosine * facing * area / d2)
+        } else {
+            [0.0; 3]
+        }
+    }
+}
+
+#[test]
+fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
+    let (document, albedo) = cornell();
+    let model = load(&document, 128);
+    let scene = Scene::new(model.mesh.clone()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
+    let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
+    let gather = Gather { cosine: 64, light: 64, seed: 1 };
+    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { gather, ..BOUNCES });
+
+    // Two triangles per quad, in the order of the document: floor, ceiling, back, red, green, lamp, boxes.
+    let material = |t: u32| [0, 0, 0, 1, 2, 3].get(t as usize / 2).copied().unwrap_or(0);
+    let triangles = scene.mesh.triangles.len() as u32;
+    let twin = Twin {
+        exact: Exhaustive(&scene.mesh),
+        albedo: (0..triangles).map(|t| albedo[material(t)]).collect(),
+        lamp: [10, 11],
+        emission: [17.0, 12.0, 4.0],
+    };
+    let fair = |i: &usize| atlas.inside[*i] && !solved.baked.buried[*i] && atlas.points[*i].triangle / 2 != 5;
+    let chosen: Vec<usize> = (0..atlas.texels.len()).filter(fair).collect();
+    let chosen: Vec<usize> = chosen.iter().copied().step_by(chosen.len() / 120).collect();
+    let reference: Vec<[f64; 3]> = chosen.iter().map(|&i| twin.irradiance(&atlas.points[i], i as u32, 1200)).collect();
+    for c in 0..3 {
+        let pairs = || chosen.iter().zip(&reference).map(|(&i, r)| (f64::from(solved.baked.irradiance[i][c]), r[c]));
+        let (got, expected) = pairs().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
+        assert!((got / expected - 1.0).abs() < 0.01, "channel {c}: {got} where the path tracer finds {expected}");
+        let mut errors: Vec<f64> = pairs().map(|(got, expected)| (got / expected - 1.0).abs()).collect();
+        errors.sort_by(f64::total_cmp);
+        let median = errors[errors.len() / 2];
+        assert!(median < 0.03, "channel {c}: the median error is {median}");
+    }
+    // Negative control: without the bounces it is darker by far more than the tolerance.
+    let direct = solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { gather, most: 0, ..BOUNCES });
+    assert!(direct.series[0] < 0.9 * solved.series.iter().sum::<f64>());
+}
+
+/// Corners of a unit square in the ground, facing +Y, and coordinates of a part of the unit square.
+const SQUARE: [Vec3; 4] = [Vec3::ZERO, Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::X];
+
+fn coordinates(low: f32, high: f32) -> [Vec2; 4] {
+    [Vec2::splat(low), Vec2::new(low, high), Vec2::splat(high), Vec2::new(high, low)]
+}
+
+/// What a document of one square emits and reflects, as means over its texels.
+fn square(material: serde_json::Value, image: Option<(usize, usize, Vec<[u8; 3]>)>) -> Surfaces {
+    let mut document = Document::default();
+    if let Some((width, height, pixels)) = image {
+        document.image(width, height, pixels);
+    }
+    let material = document.raw_material(material);
+    document.quad(SQUARE, material, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
+    let model = load(&document, 16);
+    let scene = Scene::new(model.mesh.clone()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, 16, 16).unwrap();
+    model.surfaces(&mut backend, &atlas, None).unwrap()
+}
+
+#[test]
+fn materials_mean_what_the_specification_says() {
+    let plain = square(json!({ "emissiveFactor": [0.5, 1.0, 0.25] }), None);
+    assert_eq!((plain.emission.data[40], plain.albedo.data[40]), ([0.5, 1.0, 0.25], [1.0; 3]));
+    let strength = json!({ "KHR_materials_emissive_strength": { "emissiveStrength": 40.0 } });
+    let strong = square(json!({ "emissiveFactor": [0.5, 1.0, 0.25], "extensions": strength }), None);
+    assert_eq!(strong.emission.data[40], [20.0, 40.0, 10.0]);
+    // sRGB 188 is 0.5029 linear; the factor is linear already. Left half dark, right half bright.
+    let image = (2, 1, vec![[0, 0, 0], [188, 255, 188]]);
+    let base = json!({
+        "baseColorFactor": [0.5, 0.5, 1.0, 1.0], "baseColorTexture": { "index": 0 },
+        "metallicFactor": 0.0
+    });
+    let textured = square(json!({ "pbrMetallicRoughness": base }), Some(image));
+    let at = |x: usize| textured.albedo.data[8 * 16 + x];
+    // Bilinear, and repeating: the middle of either half is the pixel itself.
+    let right = [at(11), at(12)].map(Vec3::from);
+    assert!(right.iter().all(|v| v.abs_diff_eq(Vec3::new(0.2514, 0.5, 0.5029), 0.05)), "{right:?}");
+    let left = [at(3), at(4)].map(Vec3::from);
+    assert!(left.iter().all(|v| v.max_element() < 0.1), "{left:?}");
+}
+
+#[test]
+fn a_point_light_above_a_plane_follows_the_square_law() {
+    let mut document = Document::default();
+    let white = document.material([0.5; 3], [0.0; 3]);
+    document.quad(SQUARE, white, Mat4::from_scale(Vec3::splat(4.0)), &[coordinates(0.0, 1.0)]);
+    let above = Mat4::from_translation(Vec3::new(2.0, 2.0, 2.0));
+    document.light(json!({ "type": "point", "intensity": 100.0, "color": [1.0, 0.5, 0.0] }), above);
+    let model = load(&document, 65);
+    let scene = Scene::new(model.mesh.clone()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, 65, 65).unwrap();
+    let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
+    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &BOUNCES);
+    let law = |p: &SurfacePoint| {
+        let way = Vec3::new(2.0, 2.0, 2.0) - Vec3::from(p.position);
+        [1.0, 0.5, 0.0].map(|c| c * 100.0 * f64::from(way.y) / f64::from(way.length().powi(3)))
+    };
+    let expected: Vec<f64> = atlas.points.iter().flat_map(law).collect();
+    let got: Vec<f64> = solved.baked.irradiance.iter().flatten().map(|v| f64::from(*v)).collect();
+    Tolerance { absolute: 1e-5, relative: 1e-4 }.check("I cosθ/d²", &got, &expected);
+    let brightest = got.iter().copied().fold(0.0, f64::max);
+    assert!((brightest - 25.0).abs() < 0.05, "100 cd at 2 m are 25 lx, not {brightest}");
+    // A lamp that shines along its node's −Z, turned down, and one turned away.
+    for (turn, lit) in [(-std::f32::consts::FRAC_PI_2, true), (std::f32::consts::FRAC_PI_2, false)] {
+        let mut document = Document::default();
+        document.quad(SQUARE, 0, Mat4::from_scale(Vec3::splat(4.0)), &[coordinates(0.0, 1.0)]);
+        document.material([0.5; 3], [0.0; 3]);
+        document.light(json!({ "type": "directional", "intensity": 3.0 }), Mat4::from_rotation_x(turn));
+        let light = load(&document, 8).lights[0];
+        assert_eq!(light.direction[1] < -0.99, lit, "{light:?}");
+        assert_eq!((light.distant, light.intensity), (1, [3.0; 3]));
+    }
+}
+
+#[test]
+fn the_lightmap_takes_coordinates_that_do_not_overlap() {
+    let two = |sets: [&[[Vec2; 4]]; 2]| {
+        let mut document = Document::default();
+        let white = document.material([0.5; 3], [1.0; 3]);
+        document.quad(SQUARE, white, Mat4::IDENTITY, sets[0]);
+        document.quad(SQUARE, white, Mat4::from_translation(Vec3::Y), sets[1]);
+        document
+    };
+    let (whole, low, high) = (coordinates(0.0, 1.0), coordinates(0.05, 0.45), coordinates(0.55, 0.95));
+    // The second set is its own, the first is shared.
+    let second = load(&two([&[whole, low], &[whole, high]]), 64);
+    assert_eq!(second.mesh.uvs[0], Vec2::splat(0.05));
+    // Only the first is its own.
+    let first = load(&two([&[low, whole], &[high, whole]]), 64);
+    assert_eq!(first.mesh.uvs[0], Vec2::splat(0.05));
+    assert_eq!(first.size, [64, 64]);
+    // Neither, or none at all: unwrapped.
+    for sets in [[&[whole, whole][..], &[whole, whole]], [&[], &[]]] {
+        let model = load(&two(sets), 64);
+        let report = atlas_report(&model.mesh, 512);
+        assert!(report.covered_fraction > 0.3 && report.overlapping_fraction == 0.0, "{report:?}");
+        assert_eq!(model.mesh.triangles.len(), 4);
+        assert!(model.size[0] == 64 && model.size[1] <= 64, "{:?}", model.size);
+    }
+}
+
+#[test]
+fn the_baked_scene_keeps_its_materials_and_carries_the_lightmap() {
+    let folder = tempfile::tempdir().unwrap();
+    let (source, baked) = (folder.path().join("scene.gltf"), folder.path().join("baked.glb"));
+    let mut document = Document::default();
+    document.image(2, 1, vec![[0, 0, 0], [255, 255, 255]]);
+    let material = json!({
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "roughnessFactor": 0.3 },
+        "extensions": { "KHR_materials_clearcoat": { "clearcoatFactor": 0.7 } },
+    });
+    let material = document.raw_material(material);
+    let whole = coordinates(0.0, 1.0);
+    for height in [0.0, 1.0] {
+        document.quad(SQUARE, material, Mat4::from_translation(Vec3::Y * height), &[whole]);
+    }
+    document.write(&source);
+    let model = read_gltf(&source, 64, &Silent).unwrap();
+    let irradiance = Rgb::filled(64, 64, [3.0, 2.0, 1.0]);
+    write_lightmapped_glb(&baked, &source, &model, Some(&irradiance)).unwrap();
+
+    let again = read_gltf(&baked, 64, &Silent).unwrap();
+    assert_eq!((&again.mesh.uvs, &again.mesh.positions), (&model.mesh.uvs, &model.mesh.positions));
+    let bytes = std::fs::read(&baked).unwrap();
+    let json: serde_json::Value =
+        serde_json::from_slice(&bytes[20..20 + u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize])
+            .unwrap();
+    let material = &json["materials"][0];
+    assert_eq!(material["pbrMetallicRoughness"]["roughnessFactor"].as_f64().map(|v| v as f32), Some(0.3));
+    assert_eq!(material["extensions"]["KHR_materials_clearcoat"]["clearcoatFactor"], 0.7);
+    let lightmap = &material["extensions"]["MOZ_lightmap"];
+    assert_eq!((&lightmap["texCoord"], &lightmap["intensity"]), (&json!(1), &json!(1.0)));
+    let texture = &json["textures"][lightmap["index"].as_u64().unwrap() as usize];
+    let image = texture["extensions"]["MOZ_texture_rgbe"]["source"].as_u64().unwrap() as usize;
+    assert_eq!(json["images"][image]["mimeType"], "image/vnd.radiance");
+    assert_eq!(json["nodes"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn what_cannot_be_baked_is_an_error_that_says_why() {
+    let mut document = Document::default();
+    let white = document.material([0.5; 3], [0.0; 3]);
+    document.quad(SQUARE, white, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
+    let model = load(&document, 16);
+    let scene = Scene::new(model.mesh.clone()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, 16, 16).unwrap();
+    let good = model.surfaces(&mut backend, &atlas, None).unwrap();
+    assert!(good.is_dark());
+    let refuse = |surfaces: Surfaces, word: &str| {
+        let mut backend = CpuBackend::new(&scene);
+        let error = irradiance(&mut backend, &scene.mesh, &atlas, &surfaces, &BOUNCES, &Silent).unwrap_err();
+        assert!(error.to_string().contains(word), "{error}");
+    };
+    refuse(Surfaces { albedo: Rgb::filled(8, 8, [0.5; 3]), ..good.clone() }, "16×16");
+    refuse(Surfaces { albedo: Rgb::filled(16, 16, [1.5; 3]), ..good.clone() }, "albedo");
+    refuse(Surfaces { emission: Rgb::filled(16, 16, [f32::NAN; 3]), ..good.clone() }, "emission");
+    // A light in the file with a number that no light has.
+    document.light(json!({ "type": "point", "intensity": -5.0 }), Mat4::IDENTITY);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.gltf");
+    document.write(&path);
+    let error = read_gltf(&path, 16, &Silent).err().unwrap().to_string();
+    assert!(error.contains("node 1") && error.contains("scene.gltf"), "{error}");
+}
