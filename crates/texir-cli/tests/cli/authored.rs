@@ -1,0 +1,88 @@
+//! `texir bake` of scenes that bring their own light.
+
+use std::path::Path;
+
+use glam::{Vec2, Vec3};
+use serde_json::Value;
+use texir_core::glb::{Materials, Up, write_glb};
+use texir_core::image_io::read_rgb;
+use texir_core::mesh::Mesh;
+use texir_core::raster::{Gray, Rgb};
+
+use crate::texir::{run, succeed};
+
+/// A floor under a lamp that faces it, in the two halves of one atlas; the lamp shines with `emission`.
+fn write_scene(path: &Path, emission: f32) {
+    let mut mesh = Mesh::default();
+    for (height, normal, u) in [(0.0, Vec3::Y, 0.0), (1.0, Vec3::NEG_Y, 0.5)] {
+        let base = mesh.positions.len() as u32;
+        for (x, z) in [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)] {
+            mesh.positions.push(Vec3::new(x, height, z));
+            mesh.normals.push(normal);
+            mesh.uvs.push(Vec2::new(u + 0.05 + 0.4 * x, 0.05 + 0.9 * z));
+        }
+        let order = if u == 0.0 { [[0, 1, 2], [0, 2, 3]] } else { [[0, 2, 1], [0, 3, 2]] };
+        mesh.triangles.extend(order.map(|t: [u32; 3]| t.map(|i| base + i)));
+    }
+    let shines = |i: usize| if i % 32 < 16 { [0.0; 3] } else { [emission; 3] };
+    let emission = Rgb::new(32, 32, (0..32 * 32).map(shines).collect()).unwrap();
+    let (albedo, roughness) = (Rgb::filled(32, 32, [0.5; 3]), Gray::filled(32, 32, 0.5));
+    let of = Materials { albedo: &albedo, roughness: &roughness, metallic: None, emission: Some(&emission) };
+    write_glb(path, &mesh, &of, Up::Y).unwrap();
+}
+
+/// Mean irradiance of the floor.
+fn floor(map: &Rgb) -> f32 {
+    let texels = (8..24).flat_map(|y| (4..12).map(move |x| map.at(x, y)[1]));
+    texels.sum::<f32>() / 128.0
+}
+
+#[test]
+fn an_authored_scene_is_baked_for_an_engine() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.glb");
+    write_scene(&scene, 1000.0);
+    let bake = |name: &str, more: &[&str]| -> Value {
+        let output = folder.path().join("out").join(name);
+        let how = ["--size", "32", "--spp", "64", "--backend", "cpu", "--json", "-o"].map(AsRef::as_ref);
+        let more: Vec<_> = more.iter().map(AsRef::as_ref).collect();
+        let said = succeed(&[&["bake".as_ref(), scene.as_os_str()], &how[..], &[output.as_os_str()], &more].concat());
+        serde_json::from_str(&said.out).unwrap()
+    };
+    let summary = bake("full.exr", &[]);
+    let full = read_rgb(folder.path().join("out/full.exr")).unwrap();
+    assert_eq!(full.size(), (32, 32));
+    // Two unit squares a metre apart: the view factor is 0.2, so that direct light alone is πL · 0.2 on average.
+    let direct = std::f32::consts::PI * 1000.0 * 0.2;
+    assert!((direct..1.6 * direct).contains(&floor(&full)), "{} lux, {direct} of them directly", floor(&full));
+    assert!(summary["remainder"].as_f64().unwrap() <= 0.005 && summary["series"].as_array().unwrap().len() > 1);
+    assert!(folder.path().join("out/full.glb").is_file());
+
+    bake("bevy.hdr", &["--profile", "bevy"]);
+    let bevy = read_rgb(folder.path().join("out/bevy.hdr")).unwrap();
+    let ratio = floor(&full) / floor(&bevy);
+    assert!((ratio / std::f32::consts::PI - 1.0).abs() < 0.01, "E / texel is {ratio}");
+
+    bake("hubs.hdr", &["--profile", "moz", "--bounces", "0"]);
+    let glb = std::fs::read(folder.path().join("out/hubs.glb")).unwrap();
+    assert!(String::from_utf8_lossy(&glb).contains("\"MOZ_lightmap\""));
+    bake("map.ktx2", &[]);
+}
+
+#[test]
+fn scenes_that_cannot_be_baked_say_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (folder.path().join("scene.glb"), folder.path().join("out.exr"));
+    write_scene(&scene, 0.0);
+    let bake = |output: &Path, more: &[&str]| {
+        let how = ["--size", "32", "--spp", "8", "--backend", "cpu", "-o"].map(AsRef::as_ref);
+        let more: Vec<_> = more.iter().map(AsRef::as_ref).collect();
+        run(&[&["bake".as_ref(), scene.as_os_str()], &how[..], &[output.as_os_str()], &more].concat())
+    };
+    bake(&out, &[]).complains(&["scene.glb", "shines", "emissive"]);
+    bake(&out.with_extension("png"), &[]).complains(&["out.png", ".ktx2"]);
+    bake(&scene.with_extension("exr"), &[]).complains(&["scene.glb", "--output"]);
+    bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
+    bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance"]);
+    assert!(!out.exists());
+}
