@@ -39,7 +39,7 @@ fn main() -> texir_core::error::Result<()> {
     };
     let gather = Gather { cosine: 128, light: 128, seed: 0 };
     let bounces = Bounces { gather, denoise: true, tolerance: 0.005, most: 64 };
-    let solved = irradiance(&mut backend, &scene.mesh, &atlas, &surfaces, &bounces, &Silent)?;
+    let solved = irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &Silent)?;
     println!("mean irradiance by bounce, lux: {:.1?}", solved.series);
     write_rgb("lightmap.exr", &solved.baked.map(&atlas, Buried::Fill))
 }

@@ -38,7 +38,8 @@ impl Atlas {
         }
         let hits = backend.texels(width, height)?;
         let covered = || hits.iter().enumerate().filter(|(_, h)| h.is_hit());
-        let point = |(i, hit)| SurfacePoint { sequence: i as u32, ..SurfacePoint::new(&scene.mesh, &off_edge(hit), None) };
+        let point =
+            |(i, hit)| SurfacePoint { sequence: i as u32, ..SurfacePoint::new(&scene.mesh, &off_edge(hit), None) };
         let atlas = Self {
             width,
             height,

@@ -9,10 +9,10 @@ use crate::backend::{Backend, Gather};
 use crate::bake::{self, Baked, PADDING};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
-use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 use crate::rng::hash2;
+use crate::scene::Scene;
 
 /// A bounce brings less light than the one before, so that fewer rays suffice: in proportion to its share, but not fewer
 /// than this share of the first gather's.
@@ -49,14 +49,14 @@ pub struct Solved {
 /// Replaces the backend's TBL and environment.
 pub fn irradiance(
     backend: &mut dyn Backend,
-    mesh: &Mesh,
+    scene: &Scene,
     atlas: &Atlas,
     surfaces: &Surfaces,
     bounces: &Bounces,
     progress: &dyn Progress,
 ) -> Result<Solved> {
     check(atlas, surfaces)?;
-    let mut solver = Solver { backend, mesh, atlas, bounces, rays: 0, progress };
+    let mut solver = Solver { backend, scene, atlas, bounces, rays: 0, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
     let punctual = solver.punctual(surfaces)?;
@@ -84,7 +84,7 @@ pub fn irradiance(
 
 struct Solver<'a> {
     backend: &'a mut dyn Backend,
-    mesh: &'a Mesh,
+    scene: &'a Scene,
     atlas: &'a Atlas,
     bounces: &'a Bounces,
     rays: u64,
@@ -108,11 +108,11 @@ impl Solver<'_> {
         let Gather { cosine, light, seed } = self.bounces.gather;
         let gather = Gather { cosine: scaled(cosine), light: scaled(light), seed: hash2(seed, bounce) };
         self.rays += self.atlas.points.len() as u64 * u64::from(gather.cosine + gather.light);
-        self.backend.set_tbl(tbl, &Lights::find(self.mesh, self.atlas, tbl))?;
+        self.backend.set_tbl(tbl, &Lights::find(self.scene, self.atlas, tbl))?;
         if self.bounces.denoise && gather.cosine > 1 {
-            bake::denoised(self.backend, self.mesh, self.atlas, gather, self.progress)
+            bake::denoised(self.backend, &self.scene.mesh, self.atlas, gather, None, self.progress)
         } else {
-            bake::irradiance(self.backend, self.atlas, gather, self.progress)
+            bake::irradiance(self.backend, self.atlas, gather, None, self.progress)
         }
     }
 }

@@ -87,7 +87,7 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
         tolerance: options.tolerance,
         most: options.bounces,
     };
-    let solved = authored::irradiance(backend.as_mut(), &scene.mesh, &atlas, &surfaces, &bounces, session.console)?;
+    let solved = authored::irradiance(backend.as_mut(), &scene, &atlas, &surfaces, &bounces, session.console)?;
     let map = bake.profile().lightmap(&solved.baked.map(&atlas, bake.buried()));
     write_lightmap(&bake.output, &map)?;
     let attached = (bake.profile() == Profile::Moz).then_some(&map);
