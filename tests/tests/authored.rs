@@ -215,8 +215,9 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
     let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
-    let gather = Gather { cosine: 64, light: 64, seed: 1 };
-    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { gather, ..BOUNCES });
+    // Not denoised: that costs up to 1 % here, the solver's own difference is a tenth of it.
+    let bounces = Bounces { gather: Gather { cosine: 48, light: 48, seed: 1 }, denoise: false, ..BOUNCES };
+    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &bounces);
 
     // Two triangles per quad, in the order of the document: floor, ceiling, back, red, green, lamp, boxes.
     let material = |t: u32| [0, 0, 0, 1, 2, 3].get(t as usize / 2).copied().unwrap_or(0);
@@ -229,8 +230,8 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     };
     let fair = |i: &usize| atlas.inside[*i] && !solved.baked.buried[*i] && atlas.points[*i].triangle / 2 != 5;
     let chosen: Vec<usize> = (0..atlas.texels.len()).filter(fair).collect();
-    let chosen: Vec<usize> = chosen.iter().copied().step_by(chosen.len() / 120).collect();
-    let reference: Vec<[f64; 3]> = chosen.iter().map(|&i| twin.irradiance(&atlas.points[i], i as u32, 1200)).collect();
+    let chosen: Vec<usize> = chosen.iter().copied().step_by(chosen.len() / 110).collect();
+    let reference: Vec<[f64; 3]> = chosen.iter().map(|&i| twin.irradiance(&atlas.points[i], i as u32, 1000)).collect();
     for c in 0..3 {
         let pairs = || chosen.iter().zip(&reference).map(|(&i, r)| (f64::from(solved.baked.irradiance[i][c]), r[c]));
         let (got, expected) = pairs().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
@@ -238,10 +239,10 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
         let mut errors: Vec<f64> = pairs().map(|(got, expected)| (got / expected - 1.0).abs()).collect();
         errors.sort_by(f64::total_cmp);
         let median = errors[errors.len() / 2];
-        assert!(median < 0.03, "channel {c}: the median error is {median}");
+        assert!(median < 0.04, "channel {c}: the median error is {median}");
     }
     // Negative control: without the bounces it is darker by far more than the tolerance.
-    let direct = solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { gather, most: 0, ..BOUNCES });
+    let direct = solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { most: 0, ..bounces });
     assert!(direct.series[0] < 0.9 * solved.series.iter().sum::<f64>());
 }
 
