@@ -35,8 +35,11 @@ fn points(scene: &Scene) -> Vec<SurfacePoint> {
     (0..400).map(at).collect()
 }
 
+/// Irradiance at a place on the open ground.
+type Law = fn(DVec3) -> f64;
+
 /// What each light alone gives on the open ground (x < 0, which no box shades), by its definition.
-fn lights() -> Vec<(PunctualLight, fn(DVec3) -> f64)> {
+fn lights() -> Vec<(PunctualLight, Law)> {
     const ABOVE: DVec3 = DVec3::new(-2.0, 3.0, 0.5);
     // I cosθ/d² with cosθ = h/d.
     fn open(p: DVec3) -> f64 {
