@@ -8,6 +8,7 @@ use serde_json::json;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Model, Solved, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
+use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::cosine_direction;
 use texir_core::cpu::trace::{Exhaustive, Trace};
@@ -28,7 +29,7 @@ const BOUNCES: Bounces =
     Bounces { gather: Gather { cosine: 32, light: 32, seed: 3 }, denoise: true, tolerance: 1e-3, most: 64 };
 
 fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Solved {
-    irradiance(backend, scene, atlas, surfaces, bounces, &Silent).unwrap()
+    irradiance(backend, scene, atlas, surfaces, bounces, &Checkpoints::none(), &Silent).unwrap()
 }
 
 #[test]
@@ -401,7 +402,8 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     assert!(good.is_dark());
     let refuse = |surfaces: Surfaces, word: &str| {
         let mut backend = CpuBackend::new(&scene);
-        let error = irradiance(&mut backend, &scene, &atlas, &surfaces, &BOUNCES, &Silent).unwrap_err();
+        let error =
+            irradiance(&mut backend, &scene, &atlas, &surfaces, &BOUNCES, &Checkpoints::none(), &Silent).unwrap_err();
         assert!(error.to_string().contains(word), "{error}");
     };
     refuse(Surfaces { albedo: Rgb::filled(8, 8, [0.5; 3]), ..good.clone() }, "16×16");

@@ -7,6 +7,7 @@ use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Surfaces, irradiance};
 use texir_core::backend::Gather;
 use texir_core::bake::Buried;
+use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::environment::Environment;
 use texir_core::image_io::write_rgb;
@@ -39,7 +40,7 @@ fn main() -> texir_core::error::Result<()> {
     };
     let gather = Gather { cosine: 128, light: 128, seed: 0 };
     let bounces = Bounces { gather, denoise: true, tolerance: 0.005, most: 64 };
-    let solved = irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &Silent)?;
+    let solved = irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
     println!("mean irradiance by bounce, lux: {:.1?}", solved.series);
     write_rgb("lightmap.exr", &solved.baked.map(&atlas, Buried::Fill))
 }

@@ -12,7 +12,9 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 
 use crate::atomic_file::write_atomic;
+use crate::backend::Gathered;
 use crate::error::{Error, Result};
+use crate::progress::Progress;
 use crate::specular_table::Curve;
 
 /// Names the computation that the steps in a folder belong to.
@@ -21,9 +23,11 @@ const IDENTITY: &str = "identity.txt";
 const ENDING: &str = "safetensors";
 
 /// The steps that were done, or none that are kept.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Checkpoints {
     folder: Option<PathBuf>,
+    /// What the names of steps begin with.
+    prefix: String,
 }
 
 /// What arrays hold.
@@ -35,7 +39,7 @@ pub trait Element: Pod {
 macro_rules! element {
     ($($type:ty: $scalar:ident),*) => { $(impl Element for $type { const SCALAR: Dtype = Dtype::$scalar; })* };
 }
-element!(f32: F32, [f32; 2]: F32, [f32; 3]: F32, f16: F16, Curve: F16, u32: U32, u8: U8);
+element!(f32: F32, [f32; 2]: F32, [f32; 3]: F32, f16: F16, Curve: F16, u32: U32, u8: U8, Gathered: F32);
 
 /// An array on its way to a file.
 pub struct Array<'a> {
@@ -67,20 +71,31 @@ impl Step {
 impl Checkpoints {
     /// Keeps nothing.
     pub fn none() -> Self {
-        Self { folder: None }
+        Self { folder: None, prefix: String::new() }
     }
 
     /// Keeps steps in `folder`, and finds those that an earlier run left there; steps of a computation of another
-    /// `identity` are removed.
-    pub fn open(folder: &Path, identity: &str) -> Result<Self> {
+    /// `identity` are removed, with a warning.
+    pub fn open(folder: &Path, identity: &str, progress: &dyn Progress) -> Result<Self> {
         let failed = |e| Error::file(folder, format!("cannot be used to keep steps in: {e}"));
         let known = fs::read_to_string(folder.join(IDENTITY)).unwrap_or_default();
-        let checkpoints = Self { folder: Some(folder.to_owned()) };
+        let checkpoints = Self { folder: Some(folder.to_owned()), prefix: String::new() };
         if known != identity {
+            if !known.is_empty() {
+                progress.warn(&format!(
+                    "{}: the steps of another run (another input, setting or version) are begun anew",
+                    folder.display()
+                ));
+            }
             checkpoints.clear().map_err(failed)?;
             write_atomic(folder.join(IDENTITY), |sink| std::io::Write::write_all(sink, identity.as_bytes()))?;
         }
         Ok(checkpoints)
+    }
+
+    /// The steps of a part of the computation, whose names are its own.
+    pub fn within(&self, part: &str) -> Self {
+        Self { folder: self.folder.clone(), prefix: format!("{}{part}-", self.prefix) }
     }
 
     /// A step that was done.
@@ -118,7 +133,7 @@ impl Checkpoints {
     }
 
     fn file(&self, step: &str) -> Option<PathBuf> {
-        Some(self.folder.as_ref()?.join(format!("{step}.{ENDING}")))
+        Some(self.folder.as_ref()?.join(format!("{}{step}.{ENDING}", self.prefix)))
     }
 
     /// Removes the steps, and the folder if nothing else is in it.
@@ -140,6 +155,7 @@ impl Checkpoints {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::progress::Silent;
 
     fn made(checkpoints: &Checkpoints, step: &str) -> bool {
         let mut made = false;
@@ -155,10 +171,11 @@ mod tests {
     fn a_step_is_made_once_until_all_is_done() {
         let root = tempfile::tempdir().unwrap();
         let folder = root.path().join("kept");
-        let open = |identity| Checkpoints::open(&folder, identity).unwrap();
+        let open = |identity| Checkpoints::open(&folder, identity, &Silent).unwrap();
         assert!(made(&open("a"), "one"));
         assert!(!made(&open("a"), "one"), "known from an earlier run");
-        assert!(made(&open("a"), "two"));
+        assert!(made(&open("a"), "two") && made(&open("a").within("part"), "two"));
+        assert!(!made(&open("a").within("part"), "two"));
         assert!(made(&open("b"), "one"), "of another computation");
         fs::write(folder.join("one.safetensors"), "torn").unwrap();
         assert!(made(&open("b"), "one"), "not readable");
@@ -173,7 +190,7 @@ mod tests {
     fn files_of_others_stay() {
         let root = tempfile::tempdir().unwrap();
         fs::write(root.path().join("notes.txt"), "mine").unwrap();
-        let checkpoints = Checkpoints::open(root.path(), "a").unwrap();
+        let checkpoints = Checkpoints::open(root.path(), "a", &Silent).unwrap();
         checkpoints.keep("one", &[("x", Array::from(&[1.0f32][..]))]).unwrap();
         checkpoints.finish();
         let left: Vec<_> = fs::read_dir(root.path()).unwrap().map(|e| e.unwrap().file_name()).collect();

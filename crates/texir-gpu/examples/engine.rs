@@ -12,6 +12,7 @@ use glam::{Vec2, Vec3};
 use texir_core::atlas::Atlas;
 use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{self, Buried};
+use texir_core::checkpoint::Checkpoints;
 use texir_core::lights::Lights;
 use texir_core::mesh::Mesh;
 use texir_core::progress::Progress;
@@ -45,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let gather = Gather { cosine: 64, light: 64, seed: 1 };
     let console = Console::default();
-    let baked = bake::irradiance(&mut backend, &atlas, gather, None, &console)?;
+    let baked = bake::irradiance(&mut backend, &atlas, gather, &Checkpoints::none(), &console)?;
     let irradiance = baked.map(&atlas, Buried::Fill);
 
     println!("device: {}", backend.name());

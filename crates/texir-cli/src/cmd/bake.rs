@@ -8,8 +8,9 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::backend::Gather;
-use texir_core::bake::{self, Buried, Journal};
+use texir_core::bake::{self, Buried};
 use texir_core::capture::{self, LoadOptions};
+use texir_core::checkpoint::Checkpoints;
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
@@ -110,14 +111,15 @@ impl Bake {
         let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
         let denoise = !self.no_denoise && gather.cosine >= 2;
         let settings = (backend.name(), width, height, gather, denoise);
-        let mut journal = Journal::open(self.partial(), &scene.mesh, &radiance, settings, session.console)?;
+        let identity = bake::identity(&scene.mesh, &radiance, settings);
+        let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
         let baked = if denoise {
-            bake::denoised(backend.as_mut(), &scene.mesh, &atlas, gather, Some(&mut journal), session.console)?
+            bake::denoised(backend.as_mut(), &scene.mesh, &atlas, gather, &checkpoints, session.console)?
         } else {
-            bake::irradiance(backend.as_mut(), &atlas, gather, Some(&mut journal), session.console)?
+            bake::irradiance(backend.as_mut(), &atlas, gather, &checkpoints, session.console)?
         };
         lightmap::write_lightmap(&self.output, &self.profile().lightmap(&baked.map(&atlas, self.buried())))?;
-        journal.remove()?;
+        checkpoints.finish();
         let texels = atlas.texels.len();
         let rays = texels as u64 * u64::from(self.spp);
         let buried = baked.buried.iter().filter(|inside| **inside).count();

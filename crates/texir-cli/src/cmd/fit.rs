@@ -79,7 +79,8 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let mut log: Vec<EpochLog> = Vec::new();
     let fitting = &session.config.fit;
     let partial = staging.partial();
-    let checkpoints = Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?)?;
+    let checkpoints =
+        Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?, session.console)?;
     let FitResult { textures, confidence, tbl, plan, timings } =
         fit::fit(backend.as_mut(), &scene, capture, fitting, &checkpoints, session.console, &mut |epoch| {
             log.push(*epoch)

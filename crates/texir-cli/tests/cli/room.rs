@@ -13,6 +13,7 @@ use texir_core::bake::{self, Buried};
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::nerfstudio::write_transforms;
 use texir_core::capture::{Split, View};
+use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::diffuse::DiffuseModel;
 use texir_core::image_io::{write_gray, write_png_labels, write_png_mask, write_rgb};
@@ -238,7 +239,8 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
         let radiance = outgoing(&albedo, &irradiance, &emission);
         backend.set_tbl(&radiance, &lights).unwrap();
         let gather = Gather { cosine: 32, light: 32, seed: bounce as u32 };
-        irradiance = bake::irradiance(backend, &atlas, gather, None, &Silent).unwrap().map(&atlas, Buried::Fill);
+        irradiance =
+            bake::irradiance(backend, &atlas, gather, &Checkpoints::none(), &Silent).unwrap().map(&atlas, Buried::Fill);
     }
     Textures { albedo, roughness, irradiance, emission, diffuse: DiffuseModel::Lambert }
 }

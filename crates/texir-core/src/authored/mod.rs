@@ -7,6 +7,10 @@
 //! Photometric: emission and environment are luminance in nits (cd/m²), intensities in candela, distant lights in lux, and
 //! irradiance comes out as illuminance in lux, all per linear RGB channel. Any other consistent set of units scales alike.
 
+use std::hash::Hash;
+
+use bytemuck::cast_slice;
+
 mod export;
 mod gltf;
 mod solve;
@@ -16,7 +20,9 @@ mod unwrap;
 pub use self::export::write_lightmapped_glb;
 pub use self::gltf::{Model, read_gltf};
 pub use self::solve::{Bounces, Solved, irradiance};
+use crate::bake;
 use crate::environment::Environment;
+use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 
@@ -40,5 +46,12 @@ impl Surfaces {
         self.lights.is_empty()
             && black(&self.emission)
             && self.environment.as_ref().is_none_or(|environment| black(environment.radiance()))
+    }
+
+    /// What a bake of these surfaces depends on, with its `settings`.
+    pub fn identity(&self, mesh: &Mesh, settings: impl Hash) -> String {
+        let (albedo, lights): (&[u8], &[u8]) = (cast_slice(&self.albedo.data), cast_slice(&self.lights));
+        let sky = self.environment.as_ref().map(|e| cast_slice::<_, u8>(&e.radiance().data));
+        bake::identity(mesh, &self.emission, (albedo, lights, sky, settings))
     }
 }

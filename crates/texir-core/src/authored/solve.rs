@@ -7,6 +7,7 @@ use super::Surfaces;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Baked, PADDING};
+use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::progress::Progress;
@@ -46,17 +47,19 @@ pub struct Solved {
 
 /// Solves the light of a scene at the texels of `atlas`, whose size the maps of `surfaces` have.
 ///
-/// Replaces the backend's TBL and environment.
+/// Replaces the backend's TBL and environment. With `checkpoints` of the same [`Surfaces::identity`], a bake that was
+/// interrupted goes on where it was, to the same bits.
 pub fn irradiance(
     backend: &mut dyn Backend,
     scene: &Scene,
     atlas: &Atlas,
     surfaces: &Surfaces,
     bounces: &Bounces,
+    checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solved> {
     check(atlas, surfaces)?;
-    let mut solver = Solver { backend, scene, atlas, bounces, rays: 0, progress };
+    let mut solver = Solver { backend, scene, atlas, bounces, checkpoints, rays: 0, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
     let punctual = solver.punctual(surfaces)?;
@@ -87,6 +90,7 @@ struct Solver<'a> {
     scene: &'a Scene,
     atlas: &'a Atlas,
     bounces: &'a Bounces,
+    checkpoints: &'a Checkpoints,
     rays: u64,
     progress: &'a dyn Progress,
 }
@@ -109,10 +113,11 @@ impl Solver<'_> {
         let gather = Gather { cosine: scaled(cosine), light: scaled(light), seed: hash2(seed, bounce) };
         self.rays += self.atlas.points.len() as u64 * u64::from(gather.cosine + gather.light);
         self.backend.set_tbl(tbl, &Lights::find(self.scene, self.atlas, tbl))?;
+        let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
         if self.bounces.denoise && gather.cosine > 1 {
-            bake::denoised(self.backend, &self.scene.mesh, self.atlas, gather, None, self.progress)
+            bake::denoised(self.backend, &self.scene.mesh, self.atlas, gather, &checkpoints, self.progress)
         } else {
-            bake::irradiance(self.backend, self.atlas, gather, None, self.progress)
+            bake::irradiance(self.backend, self.atlas, gather, &checkpoints, self.progress)
         }
     }
 }

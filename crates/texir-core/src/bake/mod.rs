@@ -1,11 +1,12 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 
-mod journal;
+use std::hash::{DefaultHasher, Hash, Hasher};
 
-pub use journal::Journal;
+use bytemuck::cast_slice;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Gathered};
+use crate::checkpoint::Checkpoints;
 use crate::denoise::denoise;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
@@ -17,7 +18,7 @@ use crate::surface::SurfacePoint;
 /// Rings of padding around the charts of a baked map.
 pub const PADDING: usize = 4;
 
-/// Rays of a tile, after which a journal is written: some seconds' work on a processor.
+/// Rays of a tile, after which it is kept: some seconds' work on a processor.
 const TILE_RAYS: usize = 1 << 23;
 
 /// A texel lies inside an object when this share of its rays meets the backs of triangles.
@@ -51,16 +52,16 @@ impl Baked {
 }
 
 /// Bakes the irradiance of every valid texel from the TBL that the backend was given with [`Backend::set_tbl`]; unbiased.
-/// With a journal, a bake that was interrupted goes on where it was.
+/// With `checkpoints` of the same [`identity`], a bake that was interrupted goes on where it was, to the same bits.
 pub fn irradiance(
     backend: &mut dyn Backend,
     atlas: &Atlas,
     gather: Gather,
-    journal: Option<&mut Journal>,
+    checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
     progress.start("irradiance", rays(atlas, gather), "rays");
-    let gathered = in_tiles(backend, &atlas.points, gather, TILE_RAYS, journal, progress)?;
+    let gathered = in_tiles(backend, &atlas.points, gather, TILE_RAYS, checkpoints, progress)?;
     progress.finish();
     Ok(Baked {
         irradiance: gathered.iter().map(|g| g.irradiance).collect(),
@@ -74,7 +75,7 @@ pub fn denoised(
     mesh: &Mesh,
     atlas: &Atlas,
     gather: Gather,
-    mut journal: Option<&mut Journal>,
+    checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
     if gather.cosine < 2 {
@@ -83,13 +84,23 @@ pub fn denoised(
     progress.start("irradiance", rays(atlas, gather), "rays");
     let second = Gather { cosine: gather.cosine / 2, light: gather.light / 2, seed: hash(gather.seed) };
     let first = Gather { cosine: gather.cosine - second.cosine, light: gather.light - second.light, ..gather };
-    let mut half = |gather| in_tiles(backend, &atlas.points, gather, TILE_RAYS, journal.as_deref_mut(), progress);
-    let [a, b] = [half(first)?, half(second)?];
+    let mut half =
+        |name, gather| in_tiles(backend, &atlas.points, gather, TILE_RAYS, &checkpoints.within(name), progress);
+    let [a, b] = [half("first", first)?, half("second", second)?];
     progress.finish();
     let buried: Vec<bool> = a.iter().map(buried).collect();
     let halves = [a, b].map(|half| half.iter().map(|g| g.irradiance).collect());
     let irradiance = denoise(&atlas.points, &halves, &buried, atlas.typical_texel(mesh));
     Ok(Baked { irradiance, buried })
+}
+
+/// What a bake depends on: as long as none of it changes, its [`Checkpoints`] hold.
+pub fn identity(mesh: &Mesh, radiance: &Rgb, settings: impl Hash) -> String {
+    let mut hasher = DefaultHasher::new();
+    let vectors: [&[u8]; 2] = [cast_slice(&mesh.positions), cast_slice(&mesh.normals)];
+    let (uvs, texels): (&[u8], &[u8]) = (cast_slice(&mesh.uvs), cast_slice(&radiance.data));
+    (vectors, uvs, &mesh.triangles, radiance.size(), texels, settings).hash(&mut hasher);
+    format!("texir {}\nbake {:016x}\n", env!("CARGO_PKG_VERSION"), hasher.finish())
 }
 
 /// Gathers at points, a tile of about `tile_rays` rays after another; how points are cut changes nothing, as a point's
@@ -99,31 +110,20 @@ fn in_tiles(
     points: &[SurfacePoint],
     gather: Gather,
     tile_rays: usize,
-    mut journal: Option<&mut Journal>,
+    checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Vec<Gathered>> {
     let rays = (gather.cosine + gather.light) as usize;
     let mut all = Vec::with_capacity(points.len());
-    for tile in points.chunks((tile_rays / rays.max(1)).max(1)) {
-        let gathered = match journal.as_deref_mut().and_then(Journal::next) {
-            Some(earlier) => {
-                if earlier.len() != tile.len() {
-                    return Err(Error::invalid(
-                        "the bake's progress is that of another atlas: remove the .partial file",
-                    ));
-                }
-                progress.advance((tile.len() * rays) as u64);
-                earlier
-            }
-            None => {
-                let gathered = backend.irradiance(tile, gather, progress)?;
-                if let Some(journal) = journal.as_deref_mut() {
-                    journal.push(&gathered)?;
-                }
-                gathered
-            }
-        };
-        all.extend(gathered);
+    for (number, tile) in points.chunks((tile_rays / rays.max(1)).max(1)).enumerate() {
+        let mut known = true;
+        all.extend(checkpoints.array(&format!("tile-{number}"), || {
+            known = false;
+            backend.irradiance(tile, gather, progress)
+        })?);
+        if known {
+            progress.advance((tile.len() * rays) as u64);
+        }
     }
     Ok(all)
 }

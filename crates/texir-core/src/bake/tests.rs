@@ -60,8 +60,8 @@ fn lit<'a>(scene: &'a Scene, radiance: &Rgb) -> CpuBackend<'a> {
     backend
 }
 
-fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> Journal {
-    Journal::open(path, &scene.mesh, radiance, GATHER, progress).unwrap()
+fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> Checkpoints {
+    Checkpoints::open(path, &identity(&scene.mesh, radiance, GATHER), progress).unwrap()
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn tiles_of_any_size_give_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
     let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
-    let mut bake = |tile| in_tiles(&mut backend, &atlas.points, GATHER, tile, None, &Silent).unwrap();
+    let mut bake = |tile| in_tiles(&mut backend, &atlas.points, GATHER, tile, &Checkpoints::none(), &Silent).unwrap();
     let whole = bake(usize::MAX);
     assert!(whole.len() > 100 && whole.iter().any(|g| g.irradiance[0] > 0.1));
     for tile in [0, 8, 100, 999] {
@@ -82,46 +82,39 @@ fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
     let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
-    let whole = in_tiles(&mut backend, &atlas.points, GATHER, TILE, None, &Silent).unwrap();
+    let whole = in_tiles(&mut backend, &atlas.points, GATHER, TILE, &Checkpoints::none(), &Silent).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("new/map.exr.partial");
     for limit in [1, 300, 1000] {
         let stop = Stop { limit, ..Stop::default() };
-        let mut journal = open(&path, &scene, &radiance, &stop);
-        let stopped = in_tiles(&mut backend, &atlas.points, GATHER, TILE, Some(&mut journal), &stop);
+        let kept = open(&path, &scene, &radiance, &stop);
+        let stopped = in_tiles(&mut backend, &atlas.points, GATHER, TILE, &kept, &stop);
         assert!(matches!(stopped, Err(Error::Cancelled)));
-        drop(journal);
-        // Killed while it wrote a tile: any number of bytes may be there.
-        let bytes = std::fs::read(&path).unwrap();
-        for lost in [0, 1, 40, bytes.len() - 16, bytes.len()] {
-            std::fs::write(&path, &bytes[..bytes.len() - lost]).unwrap();
-            let mut journal = open(&path, &scene, &radiance, &Silent);
-            let resumed = in_tiles(&mut backend, &atlas.points, GATHER, TILE, Some(&mut journal), &Silent);
-            assert!(whole == resumed.unwrap(), "stopped after {limit} rays, {lost} bytes lost");
-            journal.remove().unwrap();
-            assert!(!path.exists());
-        }
+        let resumed =
+            in_tiles(&mut backend, &atlas.points, GATHER, TILE, &open(&path, &scene, &radiance, &Silent), &Silent);
+        assert!(whole == resumed.unwrap(), "stopped after {limit} rays");
+        kept.finish();
+        assert!(!path.exists());
     }
     // What was gathered is not gathered again: in the dark, the first tiles are still bright.
     let stop = Stop { limit: 300, ..Stop::default() };
-    let mut journal = open(&path, &scene, &radiance, &stop);
-    in_tiles(&mut backend, &atlas.points, GATHER, TILE, Some(&mut journal), &stop).unwrap_err();
+    let kept = open(&path, &scene, &radiance, &stop);
+    in_tiles(&mut backend, &atlas.points, GATHER, TILE, &kept, &stop).unwrap_err();
     let mut dark = lit(&scene, &radiance.map(|_| [0.0; 3]));
-    let mut journal = open(&path, &scene, &radiance, &Silent);
-    let mixed = in_tiles(&mut dark, &atlas.points, GATHER, TILE, Some(&mut journal), &Silent).unwrap();
+    let mixed = in_tiles(&mut dark, &atlas.points, GATHER, TILE, &kept, &Silent).unwrap();
     assert!(mixed[..30] == whole[..30] && mixed[40..].iter().all(|g| g.irradiance == [0.0; 3]));
 }
 
 #[test]
-fn the_journal_of_another_bake_is_begun_anew_with_a_warning() {
+fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
     let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let mut bake = |radiance: &Rgb, gather, stop: &Stop| {
-        let mut journal = Journal::open(&path, &scene.mesh, radiance, gather, stop).unwrap();
-        in_tiles(&mut backend, &atlas.points, gather, TILE, Some(&mut journal), stop)
+        let kept = Checkpoints::open(&path, &identity(&scene.mesh, radiance, gather), stop).unwrap();
+        in_tiles(&mut backend, &atlas.points, gather, TILE, &kept, stop)
     };
     let begin = Stop { limit: 500, ..Stop::default() };
     bake(&radiance, GATHER, &begin).unwrap_err();

@@ -129,10 +129,8 @@ pub fn fit(
         light: settings.irradiance_samples / 2,
         seed: settings.seed,
     };
-    let irradiance = checkpoints.array("irradiance", || {
-        Ok(bake::denoised(backend, &scene.mesh, &atlas, gather, None, progress)?.map(&atlas, bake::Buried::Fill).data)
-    })?;
-    let irradiance = Raster::new(atlas.width, atlas.height, irradiance)?;
+    let irradiance =
+        bake::denoised(backend, &scene.mesh, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");
 
     let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();

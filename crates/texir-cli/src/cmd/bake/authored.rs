@@ -7,6 +7,7 @@ use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{self, Bounces, write_lightmapped_glb};
 use texir_core::backend::Gather;
+use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
 use texir_core::lightmap::{Profile, write_lightmap};
@@ -87,11 +88,15 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
         tolerance: options.tolerance,
         most: options.bounces,
     };
-    let solved = authored::irradiance(backend.as_mut(), &scene, &atlas, &surfaces, &bounces, session.console)?;
+    let settings = (backend.name(), width, height, bounces.gather, bounces.denoise);
+    let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
+    let solved =
+        authored::irradiance(backend.as_mut(), &scene, &atlas, &surfaces, &bounces, &checkpoints, session.console)?;
     let map = bake.profile().lightmap(&solved.baked.map(&atlas, bake.buried()));
     write_lightmap(&bake.output, &map)?;
     let attached = (bake.profile() == Profile::Moz).then_some(&map);
     write_lightmapped_glb(&glb, &bake.input, &model, attached)?;
+    checkpoints.finish();
     let summary = Summary {
         output: bake.output.clone(),
         scene: glb,
