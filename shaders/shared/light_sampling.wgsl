@@ -25,16 +25,16 @@ struct LightGrid {
     clusters: u32,
 }
 
-@group(0) @binding(4) var<storage, read> light_triangles: array<LightTriangle>;
+@group(0) @binding(5) var<storage, read> light_triangles: array<LightTriangle>;
 // Per primitive.
-@group(0) @binding(5) var<storage, read> light_density: array<LightDensity>;
+@group(0) @binding(6) var<storage, read> light_density: array<LightDensity>;
 // The first of each cluster's triangles, and at last their number.
-@group(0) @binding(6) var<storage, read> light_clusters: array<u32>;
+@group(0) @binding(7) var<storage, read> light_clusters: array<u32>;
 // Tables of a number per cluster: the probability of it and those before it.
-@group(0) @binding(7) var<storage, read> light_tables: array<f32>;
+@group(0) @binding(8) var<storage, read> light_tables: array<f32>;
 // Per cell (x fastest) and facing, six to a cell: the number of its table.
-@group(0) @binding(8) var<storage, read> light_cells: array<u32>;
-@group(0) @binding(9) var<uniform> light_grid: LightGrid;
+@group(0) @binding(9) var<storage, read> light_cells: array<u32>;
+@group(0) @binding(10) var<uniform> light_grid: LightGrid;
 
 // A point on a light, and the primitive it lies on.
 struct LightPoint {

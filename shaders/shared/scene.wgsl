@@ -23,7 +23,7 @@ fn radiance_at(hit: Intersection) -> vec3f {
 }
 
 // What rays see that miss the mesh: an equirectangular panorama, twin of texir-core's environment.rs.
-@group(0) @binding(6) var environment: texture_2d<f32>;
+@group(0) @binding(4) var environment: texture_2d<f32>;
 
 // Radiance arriving from far away along the unit direction: the nearest pixel at u = ½ + atan2(z, x)/2π, v = acos(y)/π.
 fn environment_radiance(direction: vec3f) -> vec3f {
