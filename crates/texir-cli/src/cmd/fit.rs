@@ -13,6 +13,7 @@ use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTIN
 use texir_core::render::Textures;
 use texir_core::scene::Scene;
 
+use super::corrections::Corrections;
 use super::{CaptureArgs, Session, describe, eval, report};
 use crate::args::Config;
 use crate::device;
@@ -24,6 +25,8 @@ use crate::figures;
 pub struct Fit {
     #[command(flatten)]
     capture: CaptureArgs,
+    #[command(flatten)]
+    corrections: Corrections,
     /// Folder for textures, scene.glb, metrics and report
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -60,7 +63,8 @@ impl Fit {
         config.fit.mode = self.mode.map_or(config.fit.mode, fit::Mode::from);
         let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
-        let capture = self.capture.load(session)?;
+        let mut capture = self.capture.load(session)?;
+        self.corrections.apply(&mut capture, session)?;
         let output = write(staging, &capture, session)?;
         if self.no_eval {
             return Ok(());

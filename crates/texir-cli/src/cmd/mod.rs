@@ -2,6 +2,7 @@
 
 mod ablate;
 mod bake;
+mod corrections;
 mod demo;
 mod eval;
 mod fit;

@@ -9,6 +9,7 @@ use texir_core::capture::{self, Capture, Coverage, Split, View};
 use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
+use super::corrections::Corrections;
 use super::{CaptureArgs, Session};
 use crate::device;
 use crate::failure::Failure;
@@ -18,6 +19,8 @@ use crate::failure::Failure;
 pub struct Tbl {
     #[command(flatten)]
     capture: CaptureArgs,
+    #[command(flatten)]
+    corrections: Corrections,
     /// The HDR texture; its coverage mask goes beside it, as NAME_mask.png
     #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
     output: PathBuf,
@@ -42,7 +45,8 @@ impl Tbl {
         if self.size == 0 {
             return Err(Failure::new("--size is 0; it must be at least 1"));
         }
-        let capture = self.capture.load(session)?;
+        let mut capture = self.capture.load(session)?;
+        self.corrections.apply(&mut capture, session)?;
         let scene = Scene::new(capture.mesh.clone())?;
         let mut backend = device::open(&scene, session.config, session.console)?;
         let texture = build(backend.as_mut(), &scene, &capture, self.size, session)?;

@@ -37,6 +37,9 @@ pub struct View {
     pub split: Split,
     /// Linear radiance.
     pub image: PathBuf,
+    /// What the image's radiance is multiplied with, per channel: 1, unless exposures were solved for
+    /// ([`crate::tbl::exposure`]).
+    pub scale: [f32; 3],
     /// Semantic class per pixel; 0 is "unknown".
     pub semantic: Option<PathBuf>,
     /// Pixels to use (non-zero); excludes emitters, the rig, misses.

@@ -121,6 +121,7 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
             camera: model.camera(&place, &frame.transform_matrix)?,
             split: splits.of(&place, frame)?,
             image: folder.join(&frame.file_path),
+            scale: [1.0; 3],
             semantic: local(&frame.semantic_path),
             mask: local(&frame.mask_path),
             room: local(&frame.room_path),

@@ -67,6 +67,7 @@ fn views(root: &Path) -> Vec<View> {
         },
         split: if i < 2 { Split::Train } else { Split::Novel },
         image: root.join(format!("hdr/view_{i}.exr")),
+        scale: [1.0; 3],
         semantic: Some(root.join(format!("semantic/view_{i}.png"))),
         mask: Some(root.join(format!("mask/view_{i}.png"))),
         room: Some(root.join(format!("room/view_{i}.png"))),

@@ -13,15 +13,18 @@ impl View {
     /// A view of which nothing but the image is known.
     pub fn new(name: String, camera: Camera, split: Split, image: PathBuf) -> Self {
         let (semantic, mask, room, albedo, roughness) = (None, None, None, None, None);
-        Self { name, camera, split, image, semantic, mask, room, room_id: None, albedo, roughness }
+        Self { name, camera, split, image, scale: [1.0; 3], semantic, mask, room, room_id: None, albedo, roughness }
     }
 
-    /// The radiance, linear. Channels that no radiance can have are set to 0, and a warning says how many.
+    /// The radiance, linear, times [`View::scale`]. Channels that no radiance can have are set to 0, and a warning says how many.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         let mut image = self.sized(&self.image, read_rgb(&self.image)?)?;
         let found = sanitise_radiance(&mut image);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", self.image.display()));
+        }
+        for radiance in &mut image.data {
+            *radiance = std::array::from_fn(|c| radiance[c] * self.scale[c]);
         }
         Ok(image)
     }

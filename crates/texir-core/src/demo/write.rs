@@ -45,6 +45,7 @@ fn write_view(rendered: &Rendered, folder: &Path) -> Result<View> {
         camera: shot.camera,
         split: shot.split,
         image: file("hdr", "exr"),
+        scale: [1.0; 3],
         semantic: Some(file("semantic", "png")),
         mask: Some(file("mask", "png")),
         room: Some(file("room", "png")),

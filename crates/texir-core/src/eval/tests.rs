@@ -71,6 +71,7 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
             camera,
             split,
             image: file("image.exr"),
+            scale: [1.0; 3],
             semantic: None,
             mask: Some(file("mask.png")),
             room: None,

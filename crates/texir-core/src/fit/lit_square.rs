@@ -64,9 +64,8 @@ impl LitSquare {
                 }
                 let path = self.folder.path().join(format!("{width} {x} {y}.exr"));
                 write_rgb(&path, &image).unwrap();
-                let (semantic, mask, room, room_id, albedo, roughness) = (None, None, None, None, None, None);
                 let (name, image) = (x.to_string(), path);
-                View { name, camera, split: Split::Train, image, semantic, mask, room, room_id, albedo, roughness }
+                View::new(name, camera, Split::Train, image)
             })
             .to_vec()
     }

@@ -1,11 +1,16 @@
 //! Texture-based lighting from the views: the radiance of every atlas texel, as the panoramas or photos show it.
 //!
 //! Each texel's surface point is projected into every view, tested for visibility, sampled (`sample.rs`) and blended
-//! robustly over the views (`blend.rs`); texels that no view sees are filled from their neighbourhood in space
-//! (`inpaint.rs`) and flagged. Pixels masked out of the fit are used all the same: emitters are masked, and they are the
-//! light. Views are read one at a time; memory is bounded by the atlas and a band of it.
+//! robustly over the views (`blend.rs`). Pixels that masks exclude are not used unless they show the light (`photo.rs`); light
+//! sources are resolved below the size of pixels (`sources.rs`). Texels that no view sees are filled along the surface from
+//! light sources (`unseen.rs`) and otherwise from their neighbourhood in space (`inpaint.rs`), and flagged. Views are read
+//! one at a time; memory is bounded by the atlas and a band of it.
 
 mod blend;
+mod cholesky;
+pub mod exposure;
+mod photo;
+pub mod pose;
 mod sample;
 mod sources;
 mod unseen;
@@ -20,10 +25,10 @@ use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
 use crate::inpaint;
 use crate::progress::Progress;
-use crate::raster::Rgb;
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 use blend::Best;
+use photo::Photo;
 use sample::Sampler;
 
 /// Side of the atlas, texels, when nobody says.
@@ -70,8 +75,8 @@ impl TblOptions {
     }
 }
 
-/// Texels that are worked on at a time: 100 MB of observations.
-const BAND: usize = 1 << 19;
+/// Texels that are worked on at a time: 80 MB of observations.
+const BAND: usize = 1 << 18;
 
 /// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance and
 /// whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
@@ -85,7 +90,12 @@ pub fn build(
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    fuse(backend, scene, &cameras, |i| views[i].load_image(progress), size, options, progress)
+    fuse(backend, scene, &cameras, |i| photo(&views[i], progress), size, options, progress)
+}
+
+/// What may be used of a view.
+fn photo(view: &View, progress: &dyn Progress) -> Result<Photo> {
+    Ok(Photo::new(view.load_image(progress)?, view.load_mask()?))
 }
 
 /// [`build`] from images that `load` gives by index.
@@ -93,7 +103,7 @@ fn fuse(
     backend: &mut dyn Backend,
     scene: &Scene,
     cameras: &[Camera],
-    mut load: impl FnMut(usize) -> Result<Rgb>,
+    mut load: impl FnMut(usize) -> Result<Photo>,
     size: (usize, usize),
     options: &TblOptions,
     progress: &dyn Progress,
@@ -125,7 +135,7 @@ pub fn resolve_sources(
     let fusion = Fusion { scene, atlas, cameras: &cameras, options: &TblOptions::default(), progress };
     let seen = |&t: &u32| (tbl.coverage.data[t as usize] == Coverage::Seen).then(|| tbl.radiance.data[t as usize]);
     let radiance = atlas.texels.iter().map(seen).collect();
-    fusion.complete(backend, &mut |i| views[i].load_image(progress), radiance, Some(tbl))
+    fusion.complete(backend, &mut |i| photo(&views[i], progress), radiance, Some(tbl))
 }
 
 /// What the views are fused into, and how.
@@ -143,7 +153,7 @@ impl Fusion<'_> {
     fn complete(
         &self,
         backend: &mut dyn Backend,
-        load: &mut dyn FnMut(usize) -> Result<Rgb>,
+        load: &mut dyn FnMut(usize) -> Result<Photo>,
         mut radiance: Vec<Option<[f32; 3]>>,
         given: Option<&Tbl>,
     ) -> Result<Tbl> {
@@ -166,7 +176,7 @@ impl Fusion<'_> {
     fn blend(
         &self,
         backend: &mut dyn Backend,
-        load: &mut dyn FnMut(usize) -> Result<Rgb>,
+        load: &mut dyn FnMut(usize) -> Result<Photo>,
         points: &[SurfacePoint],
     ) -> Result<Vec<Option<[f32; 3]>>> {
         let Self { scene, atlas, cameras, options, progress } = *self;
@@ -176,9 +186,9 @@ impl Fusion<'_> {
             let mut best = vec![Best::default(); points.len()];
             for (i, camera) in cameras.iter().enumerate() {
                 progress.check()?;
-                let image = load(i)?;
+                let photo = load(i)?;
                 let projected = backend.project(points, camera)?;
-                let sampler = Sampler::new(backend, &scene.mesh, camera, &image, options)?;
+                let sampler = Sampler::new(backend, &scene.mesh, camera, &photo, options)?;
                 best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
                     let area = atlas.texel_area(&scene.mesh, point.triangle);
                     if let Some(observation) = sampler.observe(point, at, area) {
@@ -198,10 +208,10 @@ impl Fusion<'_> {
     fn separate_sources(
         &self,
         backend: &mut dyn Backend,
-        load: &mut dyn FnMut(usize) -> Result<Rgb>,
+        load: &mut dyn FnMut(usize) -> Result<Photo>,
         radiance: &mut [Option<[f32; 3]>],
     ) -> Result<f32> {
-        let found = sources::resolve(self, backend, &mut *load, radiance)?;
+        let found = sources::resolve(self, backend, load, radiance)?;
         let mut beside = Vec::new();
         for (&texel, &resolved) in found.texels.iter().zip(&found.radiance) {
             match inpaint::mean(resolved) > found.limit {
@@ -210,9 +220,9 @@ impl Fusion<'_> {
             }
         }
         let mut load_unmixed = |view: usize| {
-            let mut image = load(view)?;
-            found.mixed[view].iter().for_each(|&pixel| image.data[pixel] = [f32::NAN; 3]);
-            Ok(image)
+            let mut photo = load(view)?;
+            found.mixed[view].iter().for_each(|&pixel| photo.image.data[pixel] = [f32::NAN; 3]);
+            Ok(photo)
         };
         let points: Vec<SurfacePoint> = beside.iter().map(|&i| self.atlas.points[i]).collect();
         for (i, blended) in beside.into_iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {

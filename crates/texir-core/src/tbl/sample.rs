@@ -3,11 +3,11 @@
 use glam::{Vec2, Vec3};
 
 use super::TblOptions;
+use super::photo::Photo;
 use crate::backend::{Backend, Projected};
 use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
-use crate::raster::Rgb;
 use crate::surface::{Hit, SurfacePoint};
 
 /// Two surfaces are one where their normals' cosine is at least this: a corner of a room is two.
@@ -22,41 +22,43 @@ pub(super) struct Observation {
     pub radiance: [f32; 3],
     /// How much the view is worth: pixels per square metre of surface, less where the filter crosses an edge.
     pub weight: f32,
+    /// The view's mask excludes the pixel that shows the point.
+    pub masked: bool,
 }
 
 /// An image with the primary hits of its pixels.
 pub(super) struct Sampler<'a> {
     mesh: &'a Mesh,
     camera: &'a Camera,
-    image: &'a Rgb,
+    photo: &'a Photo,
     hits: Vec<Hit>,
     options: &'a TblOptions,
 }
 
 impl<'a> Sampler<'a> {
-    /// Traces the view's pixels. `image` must have the camera's size.
+    /// Traces the view's pixels. The image must have the camera's size.
     pub fn new(
         backend: &mut dyn Backend,
         mesh: &'a Mesh,
         camera: &'a Camera,
-        image: &'a Rgb,
+        photo: &'a Photo,
         options: &'a TblOptions,
     ) -> Result<Self> {
-        if image.size() != (camera.width, camera.height) {
+        if photo.image.size() != (camera.width, camera.height) {
             return Err(Error::invalid(format!(
                 "a view's image is {:?} pixels, its camera {:?}",
-                image.size(),
+                photo.image.size(),
                 (camera.width, camera.height)
             )));
         }
         let hits = backend.primary(camera)?;
-        Ok(Self { mesh, camera, image, hits, options })
+        Ok(Self { mesh, camera, photo, hits, options })
     }
 
     /// What the view shows of a point that projects to `at`; `area` is the texel's, m². `None` if it cannot tell.
     ///
     /// A tent over the texel's footprint in the image, at least one pixel to either side (bilinear), that only takes in
-    /// pixels which show the same surface.
+    /// pixels which show the same surface and which the mask excludes as it excludes the nearest.
     pub fn observe(&self, point: &SurfacePoint, at: &Projected, area: f32) -> Option<Observation> {
         if !(at.distance > 0.0 && at.cosine >= self.options.min_cosine) {
             return None;
@@ -69,6 +71,7 @@ impl<'a> Sampler<'a> {
         let slack = self.slack(at.distance);
         let (mut sum, mut clean, mut all) = (Vec3::ZERO, 0.0, 0.0);
         let centre = Vec2::from(at.pixel);
+        let masked = self.pixel(centre.x as i64, centre.y as i64).is_some_and(|pixel| self.photo.is_masked(pixel));
         let range = |axis: usize| {
             (centre[axis] - reach[axis] - 0.5).ceil() as i64..=(centre[axis] + reach[axis] - 0.5).floor() as i64
         };
@@ -78,8 +81,9 @@ impl<'a> Sampler<'a> {
                 let tent = (1.0 - d.x).max(0.0) * (1.0 - d.y).max(0.0);
                 all += tent;
                 let Some(pixel) = self.pixel(x, y) else { continue };
-                let radiance = Vec3::from(self.image.data[pixel]);
-                let usable = radiance.is_finite() && radiance.min_element() >= 0.0;
+                let radiance = Vec3::from(self.photo.image.data[pixel]);
+                let usable =
+                    radiance.is_finite() && radiance.min_element() >= 0.0 && self.photo.is_masked(pixel) == masked;
                 if usable && self.shows(pixel, position, point.normal.into(), slack) {
                     sum += radiance * tent;
                     clean += tent;
@@ -90,7 +94,7 @@ impl<'a> Sampler<'a> {
             return None;
         }
         let resolution = pixels_per_steradian(self.camera) * at.cosine / (at.distance * at.distance);
-        Some(Observation { radiance: (sum / clean).to_array(), weight: resolution * clean / all })
+        Some(Observation { radiance: (sum / clean).to_array(), weight: resolution * clean / all, masked })
     }
 
     /// How far from a surface's plane, metres, a pixel's point may lie to be on the same surface.

@@ -11,13 +11,15 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::Fusion;
+use super::photo::Photo;
 use super::sample::pixels_per_steradian;
+use crate::atlas::TexelIndex;
 use crate::backend::Backend;
 use crate::camera::{Camera, Projection};
 use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::inpaint;
-use crate::raster::{Raster, Rgb};
+use crate::raster::Rgb;
 use crate::real::V3;
 use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
@@ -64,15 +66,14 @@ struct Pixels {
 pub(super) fn resolve(
     fusion: &Fusion<'_>,
     backend: &mut dyn Backend,
-    mut load: impl FnMut(usize) -> Result<Rgb>,
+    load: &mut dyn FnMut(usize) -> Result<Photo>,
     blended: &[Option<[f32; 3]>],
 ) -> Result<Surroundings> {
     let Fusion { scene, atlas, cameras, progress, .. } = *fusion;
     let limit = inpaint::source_limit(blended);
     let shines = |radiance: &Option<[f32; 3]>| radiance.is_some_and(|radiance| inpaint::mean(radiance) > limit);
     let points: Vec<_> = atlas.points.iter().zip(blended).filter(|(_, b)| shines(b)).map(|(p, _)| *p).collect();
-    let numbers: Vec<u32> = (0..blended.len() as u32).collect();
-    let index = atlas.scatter(&numbers, NONE);
+    let index = TexelIndex::new(atlas);
     let mut pixels = Pixels::default();
     progress.start("light sources", cameras.len() as u64, "views");
     for (view, camera) in cameras.iter().enumerate() {
@@ -86,7 +87,7 @@ pub(super) fn resolve(
                 rays[pixel] = rays[pixel].max(needed);
             }
         }
-        pixels.add(fusion, view, &load(view)?, &rays, &index);
+        pixels.add(fusion, view, &load(view)?.image, &rays, &index);
         progress.advance(1);
     }
     progress.finish();
@@ -122,7 +123,7 @@ fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
 impl Pixels {
     /// Adds a view's pixels with `rays` along each axis; those with 0 are left out, and so are those that show the back of
     /// a surface, whose radiance the texture does not hold.
-    fn add(&mut self, fusion: &Fusion<'_>, view: usize, image: &Rgb, rays: &[u8], index: &Raster<u32>) {
+    fn add(&mut self, fusion: &Fusion<'_>, view: usize, image: &Rgb, rays: &[u8], index: &TexelIndex) {
         let (scene, camera) = (fusion.scene, &fusion.cameras[view]);
         let origin = V3(camera.position().to_array());
         let look = |pixel: usize| -> Option<Vec<Tap>> {
@@ -137,8 +138,7 @@ impl Pixels {
                 if scene.mesh.face_normal(hit.triangle).dot(direction) > 0.0 {
                     return None;
                 }
-                let texel = index.data[index.nearest(hit.uv(&scene.mesh))];
-                taps.extend((texel != NONE).then_some(Tap { texel, weight }));
+                taps.extend(index.nearest(hit.uv(&scene.mesh)).map(|texel| Tap { texel, weight }));
             }
             let shown = taps.len() as f32 * weight;
             merge(&mut taps);

@@ -1,0 +1,55 @@
+//! What is corrected in the views of a capture before they are used.
+
+use clap::Args;
+use texir_core::capture::{Capture, Split, View};
+use texir_core::scene::Scene;
+use texir_core::tbl::{exposure, pose};
+
+use super::Session;
+use crate::device;
+use crate::failure::Failure;
+
+/// Corrections of the training views.
+#[derive(Debug, Args)]
+pub struct Corrections {
+    /// Correct small errors of the training views' poses first, until they show the same on the mesh
+    #[arg(long)]
+    refine_poses: bool,
+    /// Bring the training views to one exposure and white balance first
+    #[arg(long)]
+    solve_exposure: bool,
+}
+
+impl Corrections {
+    /// Corrects the views, exposure first: poses are found by comparing radiance. An HDR texture of the capture is dropped,
+    /// because it was made of the views as they were.
+    pub fn apply(&self, capture: &mut Capture, session: &Session<'_>) -> Result<(), Failure> {
+        if !self.solve_exposure && !self.refine_poses {
+            return Ok(());
+        }
+        capture.tbl = None;
+        let scene = Scene::new(capture.mesh.clone())?;
+        let mut backend = device::open(&scene, session.config, session.console)?;
+        let mut training: Vec<&mut View> = capture.views.iter_mut().filter(|v| v.split == Split::Train).collect();
+        let views = |training: &[&mut View]| -> Vec<View> { training.iter().map(|v| (**v).clone()).collect() };
+        if self.solve_exposure {
+            let scales = exposure::solve(backend.as_mut(), &scene, &views(&training), session.console)?;
+            for (view, scale) in training.iter_mut().zip(scales) {
+                view.scale = scale;
+                let [r, g, b] = scale;
+                session.console.note(&format!("{:>24}  radiance × {r:.3} {g:.3} {b:.3}", view.name));
+            }
+        }
+        if self.refine_poses {
+            let poses = pose::refine(backend.as_mut(), &scene, &views(&training), session.console)?;
+            for (view, pose) in training.iter_mut().zip(poses) {
+                let (_, turn, shift) = (view.camera.world_from_camera.inverse() * pose).to_scale_rotation_translation();
+                let degrees = 2.0 * turn.w.abs().min(1.0).acos().to_degrees();
+                let millimetres = 1e3 * shift.length();
+                session.console.note(&format!("{:>24}  moved by {millimetres:.1} mm, {degrees:.2}°", view.name));
+                view.camera.world_from_camera = pose;
+            }
+        }
+        Ok(())
+    }
+}

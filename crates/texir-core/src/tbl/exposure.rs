@@ -1,0 +1,117 @@
+//! Differences of exposure and white balance between views, from surfaces that several of them see.
+//!
+//! A view `v` shows texel `t` with ln L(v, t) = g(v) + x(t), per channel: its exposure, and the texel's own radiance. Weighted
+//! least squares over all pairs has a closed form once the texels are eliminated; what views see differently for other
+//! reasons (reflections, somebody who walks by) is weighed down and the system solved again. Only differences between views
+//! can be found: the mean of g is 0.
+
+use rayon::prelude::*;
+
+use super::photo::Photo;
+use super::sample::Sampler;
+use super::{TblOptions, cholesky, photo};
+use crate::atlas::Atlas;
+use crate::backend::Backend;
+use crate::camera::Camera;
+use crate::capture::View;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::scene::Scene;
+
+/// Side of the atlas whose texels are compared: tens of thousands of them.
+const SIDE: usize = 256;
+/// Scales of the Cauchy weights of successive solutions, in ln L: from differences between exposures to those between
+/// reflections.
+const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.05];
+/// Views that share no surface with others keep their exposure: the weight of that, in observations.
+const ANCHOR: f64 = 1e-6;
+/// Darker pixels hold noise.
+const DARK: f32 = 1e-4;
+
+/// ln L of one texel in one view.
+#[derive(Clone, Copy)]
+struct Sighting {
+    view: usize,
+    log: [f64; 3],
+}
+
+/// The factors per channel by which the views' radiance must be multiplied to agree with each other; their geometric mean is
+/// 1. A view that shares no surface with others has 1.
+pub fn solve(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    views: &[View],
+    progress: &dyn Progress,
+) -> Result<Vec<[f32; 3]>> {
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    solve_photos(backend, scene, &cameras, |i| photo(&views[i], progress), progress)
+}
+
+/// [`solve`] for photos that `load` gives by index.
+pub(super) fn solve_photos(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    cameras: &[Camera],
+    mut load: impl FnMut(usize) -> Result<Photo>,
+    progress: &dyn Progress,
+) -> Result<Vec<[f32; 3]>> {
+    let atlas = Atlas::new(backend, scene, SIDE, SIDE)?;
+    let options = TblOptions::default();
+    let mut texels: Vec<Vec<Sighting>> = vec![Vec::new(); atlas.points.len()];
+    progress.start("exposures", cameras.len() as u64, "views");
+    for (view, camera) in cameras.iter().enumerate() {
+        progress.check()?;
+        let photo = load(view)?;
+        let projected = backend.project(&atlas.points, camera)?;
+        let sampler = Sampler::new(backend, &scene.mesh, camera, &photo, &options)?;
+        texels.par_iter_mut().zip(&atlas.points).zip(&projected).for_each(|((texel, point), at)| {
+            let seen = sampler.observe(point, at, atlas.texel_area(&scene.mesh, point.triangle));
+            if let Some(seen) = seen.filter(|seen| !seen.masked && seen.radiance.iter().all(|r| *r > DARK)) {
+                texel.push(Sighting { view, log: seen.radiance.map(|r| f64::from(r).ln()) });
+            }
+        });
+        progress.advance(1);
+    }
+    progress.finish();
+    texels.retain(|texel| texel.len() > 1);
+    let mut exposure = vec![[0.0; 3]; cameras.len()];
+    for scale in SCALES {
+        exposure = least_squares(&texels, &exposure, scale)?;
+    }
+    Ok(exposure.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
+}
+
+/// One weighted solution. The weights follow from how far the sightings of a texel are from their median under the exposures
+/// so far.
+fn least_squares(texels: &[Vec<Sighting>], so_far: &[[f64; 3]], scale: f64) -> Result<Vec<[f64; 3]>> {
+    let n = so_far.len();
+    let mut matrix = vec![0.0; n * n];
+    let mut right = vec![[0.0; 3]; n];
+    for texel in texels {
+        let rest = |s: &Sighting, c: usize| s.log[c] - so_far[s.view][c];
+        let middle: [f64; 3] = std::array::from_fn(|c| {
+            let mut rests: Vec<f64> = texel.iter().map(|s| rest(s, c)).collect();
+            rests.sort_by(f64::total_cmp);
+            (rests[(rests.len() - 1) / 2] + rests[rests.len() / 2]) / 2.0
+        });
+        let weight = |s: &Sighting| {
+            let off = (0..3).map(|c| ((rest(s, c) - middle[c]) / scale).powi(2)).sum::<f64>() / 3.0;
+            1.0 / (1.0 + off)
+        };
+        let weights: Vec<f64> = texel.iter().map(weight).collect();
+        let total: f64 = weights.iter().sum();
+        let mean: [f64; 3] =
+            std::array::from_fn(|c| texel.iter().zip(&weights).map(|(s, w)| w * s.log[c]).sum::<f64>() / total);
+        for (a, wa) in texel.iter().zip(&weights) {
+            matrix[a.view * n + a.view] += wa;
+            for (b, wb) in texel.iter().zip(&weights) {
+                matrix[a.view * n + b.view] -= wa * wb / total;
+            }
+            (0..3).for_each(|c| right[a.view][c] += wa * (a.log[c] - mean[c]));
+        }
+    }
+    (0..n).for_each(|i| matrix[i * n + i] += ANCHOR);
+    let unusable = || Error::invalid("exposures cannot be told: the views' images hold no usable light");
+    cholesky::solve(&mut matrix, &mut right).ok_or_else(unusable)?;
+    Ok(right)
+}
