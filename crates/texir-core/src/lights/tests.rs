@@ -8,7 +8,7 @@ use crate::cpu::CpuBackend;
 use crate::progress::Silent;
 use crate::surface::SurfacePoint;
 
-/// Quads in an atlas of `n × n` charts; the first ones of its last row shine.
+/// Quads in an atlas of `n × n` charts.
 struct Quads {
     mesh: Mesh,
     charts: usize,
@@ -34,7 +34,8 @@ impl Quads {
 
 const SIDE: usize = 64;
 
-/// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling.
+/// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling, the one on the
+/// right four times as bright.
 fn two_rooms() -> (Scene, Rgb) {
     let mut q = Quads::new(4);
     let (x, y, z) = (2.0 * Vec3::X, 2.0 * Vec3::Y, 2.0 * Vec3::Z);
@@ -48,10 +49,13 @@ fn two_rooms() -> (Scene, Rgb) {
     q.add(7, x + 0.01 * Vec3::X, y, z);
     q.add(12, Vec3::new(0.8, 0.8, 1.9), 0.4 * Vec3::Y, 0.4 * Vec3::X);
     q.add(13, Vec3::new(2.8, 0.8, 1.9), 0.4 * Vec3::Y, 0.4 * Vec3::X);
-    let radiance = Rgb { width: SIDE, height: SIDE, data: vec![[0.0; 3]; SIDE * SIDE] };
-    let shining = |i: usize| i / SIDE >= SIDE * 3 / 4;
-    let data = (0..SIDE * SIDE).map(|i| if shining(i) { [1.0, 2.0, 3.0] } else { [0.0; 3] }).collect();
-    (Scene::new(q.mesh).unwrap(), Rgb { data, ..radiance })
+    let texel = |i: usize| match (i % SIDE * 4 / SIDE, i / SIDE * 4 / SIDE) {
+        (0, 3) => [1.0, 2.0, 3.0],
+        (1, 3) => [4.0, 8.0, 12.0],
+        _ => [0.0; 3],
+    };
+    let radiance = Rgb { width: SIDE, height: SIDE, data: (0..SIDE * SIDE).map(texel).collect() };
+    (Scene::new(q.mesh).unwrap(), radiance)
 }
 
 fn atlas(scene: &Scene) -> Atlas {
@@ -109,7 +113,7 @@ fn a_rectangle_shines_as_its_form_factor_says() {
     lights.tables = unwise;
     backend.set_tbl(&radiance, &lights).unwrap();
     let expected = PI * form_factor([1.0, 1.0], [0.8, 0.8], [1.2, 1.2], 1.9 - 1e-4);
-    let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 32, 8);
+    let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 64, 8);
     assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by an unwise table");
     // Negative control: a density that is not the draws' own is a bias that this test sees.
     lights.density.iter_mut().for_each(|d| d.per_area *= 3.0);
@@ -130,10 +134,10 @@ fn a_room_is_lit_by_its_own_lamp() {
         let here = |c: &usize| (scene.mesh.centre(lights.triangle(*c, 0.0).0).x < 2.0) == left;
         (0..table.len()).filter(here).map(of).sum()
     };
-    assert!(share(on_floor(1.0, 1.0), true) > 0.95);
+    assert!(share(on_floor(1.0, 1.0), true) > 0.85);
     assert!(share(on_floor(3.0, 1.0), false) > 0.95);
     // A cell that nothing was learned for, here outside the grid, has the table by power.
-    assert!((share(on_floor(-50.0, 1.0), true) - 0.5).abs() < 1e-3);
+    assert!((share(on_floor(-50.0, 1.0), true) - 0.2).abs() < 1e-3);
 }
 
 #[test]
