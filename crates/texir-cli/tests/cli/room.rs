@@ -160,6 +160,7 @@ impl Room {
                 camera: picture.camera,
                 split: if *name == "novel" { Split::Novel } else { Split::Train },
                 image: file("hdr", "exr"),
+                scale: [1.0; 3],
                 semantic: Some(file("semantic", "png")),
                 mask: Some(file("mask", "png")),
                 room: None,
