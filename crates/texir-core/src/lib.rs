@@ -10,6 +10,7 @@ pub mod brdf;
 pub mod camera;
 pub mod capture;
 pub mod checkpoint;
+mod cholesky;
 pub mod cpu;
 pub mod demo;
 pub mod denoise;

@@ -7,6 +7,7 @@
 //! fit (something moved) lose their weight over a few rounds.
 
 use super::{BLACK, CLIPPED, sensor_variance};
+use crate::cholesky;
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
 
@@ -178,31 +179,8 @@ fn solve(pixels: &[Vec<Term>], last: &[f64], forgiven: f64) -> Result<Vec<f64>> 
     for (i, row) in matrix.iter_mut().enumerate() {
         row[i] += 1e-6 * per_knot;
     }
-    solve_positive(matrix, right)
-}
-
-/// Solves a symmetric positive definite system by Cholesky's decomposition.
-fn solve_positive(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Result<Vec<f64>> {
-    let n = b.len();
-    for i in 0..n {
-        for j in 0..=i {
-            let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
-            if i != j {
-                a[i][j] = sum / a[j][j];
-            } else if sum > 0.0 {
-                a[i][i] = sum.sqrt();
-            } else {
-                return Err(Error::invalid(
-                    "the response cannot be estimated from these shots: name it with --response",
-                ));
-            }
-        }
-    }
-    for i in 0..n {
-        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    for i in (0..n).rev() {
-        b[i] = (b[i] - (i + 1..n).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    Ok(b)
+    let mut solution: Vec<[f64; 1]> = right.into_iter().map(|b| [b]).collect();
+    cholesky::solve(&mut matrix.concat(), &mut solution)
+        .ok_or_else(|| Error::invalid("the response cannot be estimated from these shots: name it with --response"))?;
+    Ok(solution.into_iter().flatten().collect())
 }

@@ -9,11 +9,12 @@ use rayon::prelude::*;
 
 use super::photo::Photo;
 use super::sample::Sampler;
-use super::{TblOptions, cholesky, photo};
+use super::{TblOptions, photo};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::capture::View;
+use crate::cholesky;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;

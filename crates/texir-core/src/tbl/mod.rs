@@ -7,7 +7,6 @@
 //! one at a time; memory is bounded by the atlas and a band of it.
 
 mod blend;
-mod cholesky;
 pub mod exposure;
 mod photo;
 pub mod pose;

@@ -8,12 +8,13 @@
 use glam::{Mat4, Quat, Vec3};
 use rayon::prelude::*;
 
+use super::photo;
 use super::photo::Photo;
-use super::{cholesky, photo};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::camera::{Camera, Projection};
 use crate::capture::View;
+use crate::cholesky;
 use crate::error::Result;
 use crate::inpaint;
 use crate::progress::Progress;
