@@ -32,6 +32,7 @@ fn every_entry_point_composes_and_validates() {
         "mean_target",
         "primary",
         "project",
+        "punctual",
         "quantile_target",
         "radiance_loss",
         "reduce",
