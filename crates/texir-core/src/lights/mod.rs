@@ -2,7 +2,7 @@
 //! where the sampled light arrives.
 //!
 //! The scene's surface is cut into cells, by position and by the way it faces. Each has a table over the clusters, learned
-//! from a few shadow rays ([`learn`]), so that samples do not go to lamps of other rooms. Any set and any tables give an
+//! from a few shadow rays (`learn.rs`), so that samples do not go to lamps of other rooms. Any set and any tables give an
 //! unbiased gather: what they leave out is found by the cosine samples, and the balance heuristic weighs both.
 
 mod cluster;

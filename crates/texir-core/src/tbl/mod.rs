@@ -121,7 +121,7 @@ fn fuse(
     fusion.complete(backend, &mut load, radiance, None)
 }
 
-/// A TBL, of the size of `atlas`, whose light sources explain the pixels of `views`: see [`sources`].
+/// A TBL, of the size of `atlas`, whose light sources are made to explain the pixels of `views`, as those of [`build`] are.
 pub fn resolve_sources(
     backend: &mut dyn Backend,
     scene: &Scene,
