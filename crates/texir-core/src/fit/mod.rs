@@ -175,6 +175,7 @@ pub fn fit(
 pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend) -> Result<String> {
     let mut hasher = DefaultHasher::new();
     bytemuck::cast_slice::<_, u8>(&capture.mesh.positions).hash(&mut hasher);
+    bytemuck::cast_slice::<_, u8>(&capture.mesh.normals).hash(&mut hasher);
     bytemuck::cast_slice::<_, u8>(&capture.mesh.uvs).hash(&mut hasher);
     capture.mesh.triangles.hash(&mut hasher);
     if let Some(tbl) = &capture.tbl {

@@ -13,7 +13,7 @@ use glam::Vec3;
 
 use crate::atlas::Atlas;
 use crate::mesh::Mesh;
-use crate::raster::Rgb;
+use crate::raster::{Rgb, luminance};
 use crate::scene::Scene;
 
 /// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct light
@@ -188,7 +188,6 @@ fn cumulative(weights: &[f32]) -> Vec<f32> {
 
 /// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.
 fn mean_luminance(mesh: &Mesh, atlas: &Atlas, radiance: &Rgb) -> Vec<f32> {
-    let luminance = |c: &[f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
     let (mut sum, mut count) = (vec![0.0f32; mesh.triangles.len()], vec![0u32; mesh.triangles.len()]);
     for (texel, point) in atlas.texels.iter().zip(&atlas.points) {
         sum[point.triangle as usize] += luminance(&radiance.data[*texel as usize]);
@@ -196,9 +195,7 @@ fn mean_luminance(mesh: &Mesh, atlas: &Atlas, radiance: &Rgb) -> Vec<f32> {
     }
     let centre = |t: u32| {
         let [a, b, c] = mesh.corner_uvs(t);
-        let uv = (a + b + c) / 3.0;
-        let texel = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
-        luminance(radiance.at(texel(uv.x, radiance.width), texel(uv.y, radiance.height)))
+        luminance(&radiance.data[radiance.nearest((a + b + c) / 3.0)])
     };
     (0u32..).zip(sum.iter().zip(&count)).map(|(t, (s, &n))| if n > 0 { s / n as f32 } else { centre(t) }).collect()
 }
