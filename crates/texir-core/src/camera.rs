@@ -109,6 +109,14 @@ impl Camera {
         Self { projection, width: self.width * factor, height: self.height * factor, ..*self }
     }
 
+    /// The angle between neighbouring pixels at the middle of the image, radians.
+    pub fn pixel_angle(&self) -> f32 {
+        match self.projection {
+            Projection::Equirectangular => std::f32::consts::TAU / self.width as f32,
+            Projection::Pinhole { fx, .. } => 1.0 / fx,
+        }
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height

@@ -1,8 +1,8 @@
-//! Values for texels that no view sees (radiance, albedo, roughness), from texels nearby in space that face the same way.
+//! Values for texels that no view sees (radiance, albedo, roughness), from texels nearby in space that belong with them.
 //!
-//! Seen texels are averaged in cells of a sparse grid, apart for each of six facing directions, at doubling cell sizes. An
-//! unseen texel takes the finest level on which cells around it know anything. Averages are geometric and leave out light
-//! sources: light is not invented.
+//! Seen texels are averaged in cells of a sparse grid, apart for each group (those that face the same way, or a segment), at
+//! doubling cell sizes. An unseen texel takes the finest level on which cells around it know anything. Averages are
+//! geometric.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, DefaultHasher};
@@ -23,13 +23,28 @@ const SOURCE: f32 = 8.0;
 /// Keeps the logarithm of black finite; far below any radiance that matters.
 const BLACK: f32 = 1e-6;
 
-/// The values of all points, non-negative, where `known` has them as they are; black if nothing is known at all. `texel` is the edge of a
-/// typical texel, metres.
+/// The radiance of all points, where `known` as it is, else that of what is near and faces the same way; black if nothing is
+/// known at all. Light sources are left out of the averages: light is not invented. `texel` is the edge of a typical texel,
+/// metres.
 pub(crate) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
     let limit = source_limit(known);
-    let seen = points.iter().zip(known).filter_map(|(p, k)| Some((p, (*k)?)));
-    let grid = Grid::new(seen, texel, limit);
-    points.par_iter().zip(known).map(|(point, known)| known.unwrap_or_else(|| grid.radiance(point))).collect()
+    let group: Vec<u32> = points.par_iter().map(|p| facing(p.normal.into())).collect();
+    fill_groups(points, &group, known, |value| mean(value) <= limit, texel)
+}
+
+/// The values of all points, non-negative, where `known` as they are, else those near in the point's group that are
+/// `usual`; the average of all groups where a group knows nothing.
+pub(crate) fn fill_groups(
+    points: &[SurfacePoint],
+    group: &[u32],
+    known: &[Option<[f32; 3]>],
+    usual: impl Fn([f32; 3]) -> bool,
+    texel: f32,
+) -> Vec<[f32; 3]> {
+    let seen = (0..points.len()).filter_map(|i| known[i].filter(|&v| usual(v)).map(|v| (&points[i], group[i], v)));
+    let grid = Grid::new(seen, texel);
+    let value = |i: usize| known[i].unwrap_or_else(|| grid.value(&points[i], group[i]));
+    (0..points.len()).into_par_iter().map(value).collect()
 }
 
 /// Mean of the channels.
@@ -44,7 +59,7 @@ pub(crate) fn source_limit(known: &[Option<[f32; 3]>]) -> f32 {
     if means.is_empty() { 0.0 } else { SOURCE * *means.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
-/// Weighted sum of logarithmic radiance.
+/// Weighted sum of logarithms.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean {
     sum: Vec3,
@@ -59,7 +74,7 @@ impl Mean {
 }
 
 /// Cells of one size. The hasher is fixed, so that sums over cells run in the same order every time.
-type Level = HashMap<(IVec3, u8), Mean, BuildHasherDefault<DefaultHasher>>;
+type Level = HashMap<(IVec3, u32), Mean, BuildHasherDefault<DefaultHasher>>;
 
 /// What the seen texels know, at all sizes.
 struct Grid {
@@ -70,31 +85,30 @@ struct Grid {
 }
 
 impl Grid {
-    /// `limit` is the mean over the channels above which a texel is a light source.
-    fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, [f32; 3])>, texel: f32, limit: f32) -> Self {
+    fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, u32, [f32; 3])>, texel: f32) -> Self {
         let cell = FINEST * texel.max(SMALLEST_TEXEL);
         let mut finest = Level::default();
         let mut all = Mean::default();
-        for (point, radiance) in seen.filter(|(_, radiance)| mean(*radiance) <= limit) {
-            let log = (Vec3::from(radiance) + BLACK).map(f32::ln);
-            let key = ((Vec3::from(point.position) / cell).floor().as_ivec3(), facing(point.normal.into()));
-            finest.entry(key).or_default().add(log, 1.0);
+        for (point, group, value) in seen {
+            let log = (Vec3::from(value) + BLACK).map(f32::ln);
+            let cell = (Vec3::from(point.position) / cell).floor().as_ivec3();
+            finest.entry((cell, group)).or_default().add(log, 1.0);
             all.add(log, 1.0);
         }
         let mut levels = vec![finest];
         for level in 1..LEVELS {
             let mut coarse = Level::default();
-            for ((cell, facing), mean) in &levels[level - 1] {
-                coarse.entry((*cell >> 1, *facing)).or_default().add(mean.sum, mean.weight);
+            for ((cell, group), mean) in &levels[level - 1] {
+                coarse.entry((*cell >> 1, *group)).or_default().add(mean.sum, mean.weight);
             }
             levels.push(coarse);
         }
         Self { cell, levels, all }
     }
 
-    /// Radiance at a point that no view sees.
-    fn radiance(&self, point: &SurfacePoint) -> [f32; 3] {
-        let mean = (0..self.levels.len()).find_map(|level| self.around(point, level)).unwrap_or(self.all);
+    /// The value at a point of a group that is not known.
+    fn value(&self, point: &SurfacePoint, group: u32) -> [f32; 3] {
+        let mean = (0..self.levels.len()).find_map(|level| self.around(point, group, level)).unwrap_or(self.all);
         if mean.weight > 0.0 {
             ((mean.sum / mean.weight).map(f32::exp) - BLACK).max(Vec3::ZERO).to_array()
         } else {
@@ -103,16 +117,15 @@ impl Grid {
     }
 
     /// Trilinear blend of the cells around a point on one level.
-    fn around(&self, point: &SurfacePoint, level: usize) -> Option<Mean> {
+    fn around(&self, point: &SurfacePoint, group: u32, level: usize) -> Option<Mean> {
         let cells = &self.levels[level];
         let p = Vec3::from(point.position) / (self.cell * (1u32 << level) as f32) - 0.5;
         let (base, f) = (p.floor().as_ivec3(), p - p.floor());
-        let facing = facing(point.normal.into());
         let mut blend = Mean::default();
         for corner in 0..8 {
             let offset = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
             let tent = (Vec3::ONE - (f - offset.as_vec3()).abs()).element_product();
-            if let Some(mean) = cells.get(&(base + offset, facing)) {
+            if let Some(mean) = cells.get(&(base + offset, group)) {
                 blend.add(mean.sum / mean.weight * tent, tent);
             }
         }
@@ -122,7 +135,7 @@ impl Grid {
 }
 
 /// Which of the six axis directions a normal is closest to.
-fn facing(normal: Vec3) -> u8 {
-    let axis = normal.abs().max_position() as u8;
-    2 * axis + u8::from(normal[usize::from(axis)] < 0.0)
+fn facing(normal: Vec3) -> u32 {
+    let axis = normal.abs().max_position();
+    2 * axis as u32 + u32::from(normal[axis] < 0.0)
 }

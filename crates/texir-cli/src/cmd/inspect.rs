@@ -226,7 +226,7 @@ fn inspect(capture: &Capture, origin: Origin, settings: &FitSettings) -> Result<
             area,
         },
         known: known(capture),
-        estimate: estimate(capture, settings, size, covered_texels),
+        estimate: estimate(capture, settings, &atlas),
         atlas,
         views,
         warnings: origin.warnings.clone(),
@@ -307,28 +307,31 @@ fn known(capture: &Capture) -> Known {
     }
 }
 
-fn estimate(capture: &Capture, settings: &FitSettings, size: usize, covered_texels: f64) -> Estimate {
-    let pixels: u64 = capture.views(Split::Train).map(|v| v.camera.pixels() as u64).sum();
-    let per_pixel = match settings.mode {
+fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) -> Estimate {
+    let texels = (atlas.size * atlas.size) as u64;
+    let training = || capture.views(Split::Train).map(|v| &v.camera);
+    let pixels: u64 = training().map(|c| c.pixels() as u64).sum();
+    let blocks: u64 = training().map(|c| (c.pixels() / settings.full.block_edge(c).pow(2)) as u64).sum();
+    let fit_rays = match settings.mode {
         // Stage I traces nothing, stage II only the few pixels that could show a highlight.
         Mode::Paper => {
             let epochs = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
-            u64::from(settings.specular_samples) * epochs
+            pixels * u64::from(settings.specular_samples) * epochs
         }
-        Mode::Full => u64::from(settings.full.sampling(0, 0).rays()),
+        Mode::Full => blocks * u64::from(settings.full.sampling(0, 0).rays()),
     };
     // Seven textures of four channels (parameters, gradients, two Adam moments or solver vectors, TBL, irradiance,
     // emission) with their mips; the sub-pixel footprints of every training pixel (about 12 taps of 8 bytes, with their
     // transpose); the hierarchy. Full mode keeps a curve and its cost per pixel (256 bytes) for the footprints of one level.
-    let texels = (size * size) as u64;
     let footprints = match settings.mode {
         Mode::Paper => (settings.footprint_samples * settings.footprint_samples) as u64 * 12 * 16,
         Mode::Full => 12 * 16 + 400,
     };
     let memory = texels * 7 * 16 * 4 / 3 + pixels * footprints + capture.mesh.triangles.len() as u64 * 300;
     Estimate {
-        bake_rays: (covered_texels * f64::from(settings.irradiance_samples)) as u64,
-        fit_rays: pixels * per_pixel,
+        bake_rays: (texels as f64 * atlas.covered) as u64
+            * u64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32)),
+        fit_rays,
         memory,
     }
 }

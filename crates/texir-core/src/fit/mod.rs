@@ -124,11 +124,8 @@ pub fn fit(
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     let lights = Lights::find(scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
-    let gather = Gather {
-        cosine: settings.irradiance_samples - settings.irradiance_samples / 2,
-        light: settings.irradiance_samples / 2,
-        seed: settings.seed,
-    };
+    let rays = settings.irradiance_rays(atlas.typical_texel(&scene.mesh));
+    let gather = Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed };
     let irradiance =
         bake::denoised(backend, &scene.mesh, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::backend::RoughnessGradient;
+use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::rng::hash2;
@@ -32,7 +33,8 @@ pub struct FitSettings {
     pub mode: Mode,
     /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size.
     pub atlas_size: usize,
-    /// Rays per texel of the irradiance bake, half of them to the light sources.
+    /// Rays per texel of the irradiance bake, half of them to the light sources; 0 lets them follow the texels' area, see
+    /// [`FitSettings::irradiance_rays`].
     pub irradiance_samples: u32,
     /// Specular samples per pixel and step.
     pub specular_samples: u32,
@@ -63,7 +65,9 @@ pub struct FullSettings {
     /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one built
     /// from the views are.
     pub resolve_sources: bool,
-    /// Light samples of each of a pixel's four points: per lobe of five,
+    /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
+    pub block_angle: f32,
+    /// Light samples of each of a block's four points: per lobe of five,
     pub lobe_samples: u32,
     /// cosine-distributed,
     pub cosine_samples: u32,
@@ -263,7 +267,7 @@ impl Default for FitSettings {
             seed: 0,
             mode: Mode::default(),
             atlas_size: 0,
-            irradiance_samples: 256,
+            irradiance_samples: 0,
             specular_samples: 16,
             emitter_ratio: 3.0,
             gradient: RoughnessGradient::Exact,
@@ -282,6 +286,7 @@ impl Default for FullSettings {
     fn default() -> Self {
         Self {
             resolve_sources: true,
+            block_angle: 1.4,
             lobe_samples: 6,
             cosine_samples: 2,
             light_samples: 12,
@@ -318,7 +323,7 @@ impl Default for RoughnessSettings {
         Self {
             start: 0.5,
             image_noise: 0.05,
-            iterations: 8,
+            iterations: 4,
             min_cosine: 0.35,
             cap: 0.88,
             class_pull: 0.1,
@@ -366,13 +371,18 @@ impl Default for StageThreeSettings {
 type Check = (&'static str, f32, bool, &'static str);
 
 impl FullSettings {
+    /// Pixels along the edge of a block that shares light samples.
+    pub fn block_edge(&self, camera: &Camera) -> usize {
+        (self.block_angle.to_radians() / camera.pixel_angle()).round().max(1.0) as usize
+    }
+
     /// How the light samples of view `view` are drawn in a run of seed `seed`.
     pub fn sampling(&self, seed: u32, view: u32) -> TableSampling {
         let Self { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, .. } = *self;
         TableSampling { lobe, cosine, light, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 25] {
+    fn checks(&self) -> [Check; 26] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -380,6 +390,7 @@ impl FullSettings {
         let share = |name, value: f32| (name, value, (0.0..=1.0).contains(&value), "in [0, 1]");
         let roughness = |name, value: f32| (name, value, (0.03..=1.0).contains(&value), "in [0.03, 1]");
         [
+            ("full.block_angle", self.block_angle, (0.0..=10.0).contains(&self.block_angle), "in [0, 10]"),
             counts("full.lobe_samples", self.lobe_samples),
             ("full.cosine_samples", self.cosine_samples as f32, self.cosine_samples <= 1024, "at most 1024"),
             ("full.light_samples", self.light_samples as f32, self.light_samples <= 1024, "at most 1024"),
@@ -410,6 +421,16 @@ impl FullSettings {
 }
 
 impl FitSettings {
+    /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces, not
+    /// over texels, and the denoiser gathers from those around: 256 rays for 2.5 cm and more, fewer for finer texels in
+    /// proportion to their area, but 64.
+    pub fn irradiance_rays(&self, texel: f32) -> u32 {
+        match self.irradiance_samples {
+            0 => (256.0 * (texel / 0.025).powi(2)).clamp(64.0, 256.0) as u32,
+            samples => samples,
+        }
+    }
+
     /// Checks every value; the error names the setting, its value and what is allowed.
     pub fn validate(&self) -> Result<()> {
         let p = &self.parameters;
@@ -418,7 +439,12 @@ impl FitSettings {
         let within = |value: f32, range: [f32; 2]| value >= range[0] && value <= range[1];
         let checks: [Check; 21] = [
             ("atlas_size", self.atlas_size as f32, self.atlas_size <= MAX_ATLAS, "at most 16384"),
-            ("irradiance_samples", self.irradiance_samples as f32, self.irradiance_samples >= 4, "at least 4"),
+            (
+                "irradiance_samples",
+                self.irradiance_samples as f32,
+                !(1..4).contains(&self.irradiance_samples),
+                "0, or at least 4",
+            ),
             ("specular_samples", self.specular_samples as f32, self.specular_samples > 0, "at least 1"),
             ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),
             ("emitter_ratio", self.emitter_ratio, self.emitter_ratio > 0.0, "above 0"),

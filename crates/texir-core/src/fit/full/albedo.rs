@@ -117,8 +117,8 @@ impl<'a> AlbedoProblem<'a> {
             .with_min_len(BLOCK)
             .map(|p| {
                 let (r, specular) = match roughness {
-                    Roughness::Node(k) => (node(*k), self.seen.curves[p].at_node(*k)),
-                    Roughness::PerPixel(r) => (r[p], self.seen.curves[p].at(r[p]).0),
+                    Roughness::Node(k) => (node(*k), self.seen.curve(p).at_node(*k)),
+                    Roughness::PerPixel(r) => (r[p], self.seen.curve(p).at(r[p]).0),
                 };
                 let factor = self.diffuse.factor(self.seen.cosine[p], r);
                 (self.seen.radiance[p] - Vec3A::from(specular)) * self.per_irradiance[p] / factor

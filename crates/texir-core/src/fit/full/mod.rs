@@ -3,6 +3,8 @@
 //! observations → segments → scan → hierarchy → albedo. No ray is traced after the observations.
 
 pub mod albedo;
+pub mod blocks;
+pub mod hidden;
 pub mod hierarchy;
 pub mod local;
 pub mod observations;
@@ -50,7 +52,8 @@ pub fn recover(
     progress: &dyn Progress,
 ) -> Result<Materials> {
     let Ground { scene, atlas, adjacency, .. } = *ground;
-    let segments = segments::segment(atlas, adjacency, seen, ground.plan);
+    let texel = atlas.typical_texel(&scene.mesh);
+    let segments = segments::segment((atlas, texel), adjacency, seen, ground.plan);
     let irradiance: Vec<Vec3A> =
         atlas.texels.iter().map(|&t| Vec3A::from(ground.irradiance.data[t as usize])).collect();
     let segment = (&segments.segment[..], segments.count);
@@ -66,25 +69,23 @@ pub fn recover(
     let target = problem.target(&Roughness::PerPixel(&looked_up(seen, &of_texels)));
     problem.solve(&mut albedo, &target, &sigma, 1, iterations);
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let roughness = by_colour(
-        &problem,
-        (atlas, atlas.typical_texel(&scene.mesh)),
-        (&palettes, &albedo),
-        &by_segment,
-        &evidence,
-        settings,
-    );
+    let mut roughness = by_colour(&problem, (atlas, texel), (&palettes, &albedo), &by_segment, &evidence, settings);
     let target = problem.target(&Roughness::PerPixel(&looked_up(seen, &roughness)));
     problem.solve(&mut albedo, &target, &sigma, rounds, iterations);
 
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let painted: Vec<Vec3A> =
+    let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
+    let seen_at_all = |t: usize| !seen.columns.row(t).is_empty();
     // What the images show stays what they show: irradiance takes what albedo gives up.
-    let corrected: Vec<[f32; 3]> = (&irradiance, &albedo, &painted)
+    let corrected: Vec<[f32; 3]> = (0..painted.len())
         .into_par_iter()
-        .map(|(e, a, p)| (*e * (*a / p.max(Vec3A::splat(1e-3))).clamp(Vec3A::splat(0.5), Vec3A::splat(2.0))).to_array())
+        .map(|t| {
+            let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(Vec3A::splat(0.5), Vec3A::splat(2.0));
+            (irradiance[t] * if seen_at_all(t) { given_up } else { Vec3A::ONE }).to_array()
+        })
         .collect();
+    hidden::paint(atlas, &segments.segment, seen_at_all, (&mut painted, &mut roughness), texel);
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
     let known = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);

@@ -1,9 +1,10 @@
 //! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would shine
 //! at any roughness.
 
-use glam::Vec3A;
+use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
+use super::blocks::{self, AXIS, Blocks, Patch};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::capture::View;
@@ -17,10 +18,6 @@ use crate::specular_table::{Curve, STRATA};
 use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
 
-/// Strata of a pixel, per axis.
-const AXIS: usize = 2;
-const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a square");
-
 /// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked, or see a light source
 /// even in part are left out. All lists are per pixel.
 #[derive(Default)]
@@ -29,8 +26,10 @@ pub struct Observations {
     pub radiance: Vec<Vec3A>,
     /// n·v.
     pub cosine: Vec<f32>,
-    /// Specular radiance by roughness.
+    /// Specular radiance by roughness, of blocks of pixels;
     pub curves: Vec<Curve>,
+    /// which of them each pixel is part of.
+    pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
     pub rows: Rows,
     /// The transpose of `rows`: by texel, the pixels that see it.
@@ -52,6 +51,11 @@ impl Observations {
     /// True without pixels.
     pub fn is_empty(&self) -> bool {
         self.radiance.is_empty()
+    }
+
+    /// Specular radiance of pixel `p` by roughness.
+    pub fn curve(&self, p: usize) -> &Curve {
+        &self.curves[self.block[p] as usize]
     }
 }
 
@@ -127,28 +131,40 @@ impl Observer<'_> {
                 (!taps.is_empty()).then_some((pixel, taps))
             })
             .collect();
-        let strata: Vec<[ShadePoint; STRATA]> = pixels
-            .par_iter()
-            .map(|&(pixel, _)| {
-                let strata = strata_of(pixel);
-                // A stratum that misses the mesh is stood in for by one that does not: there is one.
-                let standing_in = strata.into_iter().find(|&s| hits[s].is_hit()).unwrap_or(strata[0]);
-                strata.map(|s| {
-                    let s = if hits[s].is_hit() { s } else { standing_in };
-                    ShadePoint::new(mesh, &fine, s as u32, &hits[s], [0.0; 3])
-                })
+        let points_of = |pixel: usize| -> [ShadePoint; STRATA] {
+            let strata = strata_of(pixel);
+            // A stratum that misses the mesh is stood in for by one that does not: there is one.
+            let standing_in = strata.into_iter().find(|&s| hits[s].is_hit()).unwrap_or(strata[0]);
+            strata.map(|s| {
+                let s = if hits[s].is_hit() { s } else { standing_in };
+                ShadePoint::new(mesh, &fine, s as u32, &hits[s], [0.0; 3])
             })
-            .collect();
+        };
+        let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
+        let seen_by = |&(pixel, _): &(usize, Vec<Tap>)| {
+            let points = points_of(pixel);
+            let cosine = points.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32;
+            let [first, ..] = points;
+            let (position, normal) = (Vec3::from(first.position), Vec3::from(first.normal));
+            (cosine, Patch { position, normal, class: label(&classes, pixel) })
+        };
+        let (cosine, patches): (Vec<f32>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
+        let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
+        let Blocks { of, corners } =
+            blocks::share(&indices, &patches, view.camera.width, self.settings.block_edge(&view.camera));
         let number = all.views.len() as u32;
         let sampling = self.settings.sampling(self.seed, number);
         let mut skipped = view.camera.pixels();
+        let first = all.curves.len() as u32;
         all.curves.extend(self.checkpoints.array(&format!("view-{number}"), || {
-            skipped -= pixels.len();
+            skipped -= corners.len();
+            let strata: Vec<[ShadePoint; STRATA]> =
+                corners.par_iter().map(|pixels| std::array::from_fn(|k| points_of(pixels[k])[k])).collect();
             backend.specular_tables(&strata, sampling, progress)
         })?);
         progress.advance(skipped as u64 * u64::from(sampling.rays()));
-        all.cosine.extend(strata.iter().map(|s| s.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32));
-        let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
+        all.block.extend(of.iter().map(|block| first + block));
+        all.cosine.extend(cosine);
         for (pixel, taps) in &pixels {
             all.radiance.push(Vec3A::from(image.data[*pixel]));
             all.class.push(label(&classes, *pixel));

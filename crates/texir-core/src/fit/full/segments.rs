@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::hidden;
 use super::observations::Observations;
 use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
@@ -24,19 +25,29 @@ pub struct Segments {
 }
 
 /// Labels the texels by the votes of the pixels that see them, each with its share of the texel, so that what one view
-/// mistakes the others correct. Texels that no pixel sees take the label of the nearest one along the surface. Rooms are
-/// the capture's, where it names them, and else the floor plan's.
-pub fn segment(atlas: &Atlas, adjacency: &Adjacency, seen: &Observations, plan: &FloorPlan) -> Segments {
-    let class = spread(vote(seen, |p| Some(seen.class[p]).filter(|&c| c != 0)), adjacency, |_| 0);
+/// mistakes the others correct. Texels that no pixel sees take the label of what is seen of their flat surface, or of the
+/// nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. `texel` is the edge
+/// of a typical texel, metres.
+pub fn segment(
+    (atlas, texel): (&Atlas, f32),
+    adjacency: &Adjacency,
+    seen: &Observations,
+    plan: &FloorPlan,
+) -> Segments {
+    let surface = hidden::flat_surfaces(atlas, adjacency);
+    let everywhere = |votes: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
+        spread(hidden::label(atlas, &surface, votes, texel), adjacency, otherwise)
+    };
+    let class = everywhere(&vote(seen, |p| Some(seen.class[p]).filter(|&c| c != 0)), &|_| 0);
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
     let room = if seen.room.iter().any(|&r| r != 0) {
-        spread(vote(seen, |p| Some(seen.room[p]).filter(|&r| r != 0)), adjacency, |i| planned[i])
+        everywhere(&vote(seen, |p| Some(seen.room[p]).filter(|&r| r != 0)), &|i| planned[i])
     } else {
         planned
     };
     let in_room: Vec<(u16, u16)> = class.iter().copied().zip(room).collect();
-    let (segment, count) = connected(&in_room, adjacency);
+    let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
     let mut pairs: Vec<(u16, u16)> = in_room.clone();
     pairs.sort_unstable();
     pairs.dedup();
@@ -78,32 +89,32 @@ pub(super) fn spread(known: Vec<Option<u16>>, adjacency: &Adjacency, otherwise: 
     labels.into_iter().enumerate().map(|(i, label)| label.unwrap_or_else(|| otherwise(i))).collect()
 }
 
-/// Numbers the connected regions of equal labels.
-pub(super) fn connected<T: PartialEq>(labels: &[T], adjacency: &Adjacency) -> (Vec<u32>, usize) {
-    let mut parent: Vec<u32> = (0..labels.len() as u32).collect();
+/// Numbers the regions of `count` texels in which neighbours belong together.
+pub(super) fn connected(count: usize, adjacency: &Adjacency, together: impl Fn(u32, u32) -> bool) -> (Vec<u32>, usize) {
+    let mut parent: Vec<u32> = (0..count as u32).collect();
     let mut join = |a: u32, b: u32| {
-        if labels[a as usize] == labels[b as usize] {
+        if together(a, b) {
             let (a, b) = (root(&mut parent, a), root(&mut parent, b));
             // The lower index leads, so that numbers do not depend on the order of joining.
             parent[a.max(b) as usize] = a.min(b);
         }
     };
-    for i in 0..labels.len() as u32 {
+    for i in 0..count as u32 {
         adjacency.around(i).for_each(|n| join(i, n));
     }
-    let mut numbers = vec![NONE; labels.len()];
-    let mut count = 0;
-    let regions = (0..labels.len() as u32)
+    let mut numbers = vec![NONE; count];
+    let mut regions = 0;
+    let numbered = (0..count as u32)
         .map(|i| {
             let root = root(&mut parent, i) as usize;
             if numbers[root] == NONE {
-                numbers[root] = count;
-                count += 1;
+                numbers[root] = regions;
+                regions += 1;
             }
             numbers[root]
         })
         .collect();
-    (regions, count as usize)
+    (numbered, regions as usize)
 }
 
 fn root(parent: &mut [u32], mut i: u32) -> u32 {

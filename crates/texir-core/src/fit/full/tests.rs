@@ -104,6 +104,7 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
     seen.radiance = shaded.iter().map(|s| Vec3A::from(s.radiance)).collect();
     let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, seed: 5 };
     seen.curves = backend.specular_tables(&strata, sampling, &Silent).unwrap();
+    seen.block = (0..strata.len() as u32).collect();
     seen.columns = seen.rows.transposed(atlas.texels.len());
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     Toy { seen, irradiance, adjacency, segment: on_floor.iter().map(|&f| u32::from(!f)).collect() }
@@ -289,6 +290,6 @@ fn texels_that_no_pixel_sees_take_their_neighbours_label_and_wrong_pixels_are_ou
     seen.columns = seen.rows.transposed(10);
     let labels = spread(vote(&seen, |p| Some(seen.class[p])), &strip(10), |_| 0);
     assert_eq!(labels, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
-    let (segments, count) = connected(&labels, &strip(10));
+    let (segments, count) = connected(10, &strip(10), |a, b| labels[a as usize] == labels[b as usize]);
     assert_eq!((segments[0], segments[9], count), (0, 1, 2));
 }

@@ -1,0 +1,135 @@
+//! Which pixels share their light samples. A lobe blurs what it reflects, so that over a flat surface the specular radiance
+//! changes slowly from one pixel to the next: cost follows the angle that a capture covers, not the size of its images.
+
+use glam::Vec3;
+
+use crate::specular_table::STRATA;
+
+/// Normals of pixels that share samples differ by less than the angle of this cosine.
+const SAME_WAY: f32 = 0.98;
+/// How far pixels that share samples may lie off each other's tangent plane, as a share of their distance.
+const FLAT: f32 = 0.1;
+/// Strata of a pixel or of a block, per axis.
+pub const AXIS: usize = 2;
+const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a square");
+
+/// What a pixel sees, as far as it decides whose reflections it can share.
+#[derive(Clone, Copy, Debug)]
+pub struct Patch {
+    /// Where, in world space.
+    pub position: Vec3,
+    /// Its unit normal.
+    pub normal: Vec3,
+    /// Its semantic class.
+    pub class: u16,
+}
+
+impl Patch {
+    fn like(&self, other: &Self) -> bool {
+        let apart = other.position - self.position;
+        self.class == other.class
+            && self.normal.dot(other.normal) >= SAME_WAY
+            && self.normal.dot(apart).abs() <= FLAT * apart.length()
+    }
+}
+
+/// Pixels by what they share.
+pub struct Blocks {
+    /// The block of each pixel.
+    pub of: Vec<u32>,
+    /// Per block, the pixels (indices into the image) that its four rays' points are taken from; point k is stratum k of
+    /// its pixel.
+    pub corners: Vec<[usize; STRATA]>,
+}
+
+/// Gathers those of the `pixels` (indices into an image `width` wide, ascending) that lie in one square of `edge` pixels
+/// and see a like patch.
+pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> Blocks {
+    let square = |pixel: usize| [pixel / width / edge, pixel % width / edge];
+    let mut order: Vec<usize> = (0..pixels.len()).collect();
+    order.sort_by_key(|&i| square(pixels[i]));
+    let mut blocks = Blocks { of: vec![0; pixels.len()], corners: Vec::new() };
+    for members in order.chunk_by(|&a, &b| square(pixels[a]) == square(pixels[b])) {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for &i in members {
+            match groups.iter_mut().find(|group| patches[group[0]].like(&patches[i])) {
+                Some(group) => group.push(i),
+                None => groups.push(vec![i]),
+            }
+        }
+        for group in groups {
+            group.iter().for_each(|&i| blocks.of[i] = blocks.corners.len() as u32);
+            let [row, column] = square(pixels[group[0]]).map(|s| s * edge);
+            blocks.corners.push(std::array::from_fn(|k| {
+                // Twice the distance to the middle of the quadrant, in halves of pixels: whole numbers.
+                let off = |at: usize, start: usize, half: usize| {
+                    (4 * (at - start) + 2).abs_diff((2 * half + 1) * edge).pow(2)
+                };
+                let from_middle =
+                    |&pixel: &usize| off(pixel / width, row, k / AXIS) + off(pixel % width, column, k % AXIS);
+                group.iter().map(|&i| pixels[i]).min_by_key(from_middle).unwrap_or_default()
+            }));
+        }
+    }
+    blocks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: usize = 8;
+
+    fn wall(pixel: usize) -> Patch {
+        let position = Vec3::new((pixel % WIDTH) as f32, (pixel / WIDTH) as f32, 0.0);
+        Patch { position, normal: Vec3::Z, class: 1 }
+    }
+
+    fn shared(patch: impl Fn(usize) -> Patch, edge: usize) -> Blocks {
+        let pixels: Vec<usize> = (0..WIDTH * WIDTH).collect();
+        let patches: Vec<Patch> = pixels.iter().map(|&p| patch(p)).collect();
+        share(&pixels, &patches, WIDTH, edge)
+    }
+
+    #[test]
+    fn a_flat_wall_is_shared_by_squares_that_are_sampled_all_over() {
+        let blocks = shared(wall, 4);
+        assert_eq!(blocks.corners.len(), 4);
+        for pixel in 0..WIDTH * WIDTH {
+            assert_eq!(blocks.of[pixel] as usize, pixel / WIDTH / 4 * 2 + pixel % WIDTH / 4);
+        }
+        for (b, corners) in blocks.corners.iter().enumerate() {
+            let quadrants = corners.map(|p| {
+                assert_eq!(blocks.of[p] as usize, b);
+                [p / WIDTH % 4 / 2, p % WIDTH % 4 / 2]
+            });
+            assert_eq!(quadrants, [[0, 0], [0, 1], [1, 0], [1, 1]]);
+        }
+    }
+
+    #[test]
+    fn edges_classes_and_steps_are_not_shared_across() {
+        let fold = |p: usize| match wall(p).position {
+            at if at.x < 3.0 => wall(p),
+            at => Patch { position: Vec3::new(3.0, at.y, at.x), normal: Vec3::X, class: 1 },
+        };
+        let label = |p: usize| Patch { class: u16::from(p % WIDTH < 3), ..wall(p) };
+        let step =
+            |p: usize| Patch { position: wall(p).position + Vec3::Z * f32::from(u8::from(p % WIDTH < 3)), ..wall(p) };
+        for blocks in [shared(fold, 4), shared(label, 4), shared(step, 4)] {
+            assert_eq!(blocks.corners.len(), 6);
+            for row in 0..WIDTH {
+                assert_ne!(blocks.of[row * WIDTH + 2], blocks.of[row * WIDTH + 3]);
+                assert_eq!(blocks.of[row * WIDTH + 1], blocks.of[row * WIDTH + 2]);
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_of_one_pixel_are_the_pixels() {
+        let pixels = [3, 5, 17];
+        let blocks = share(&pixels, &pixels.map(wall), WIDTH, 1);
+        assert_eq!(blocks.of, [0, 1, 2]);
+        assert_eq!(blocks.corners, pixels.map(|p| [p; STRATA]));
+    }
+}

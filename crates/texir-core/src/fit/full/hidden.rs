@@ -1,0 +1,158 @@
+//! What no view sees: floor under a sofa, wall behind a shelf. Labels come from what is seen of the same flat surface, and
+//! materials from what is seen of the same segment, so that it can be shown once the sofa is moved.
+
+use std::collections::HashMap;
+
+use glam::{IVec3, Vec3, Vec3A};
+use rayon::prelude::*;
+
+use super::segments::connected;
+use crate::atlas::Atlas;
+use crate::fit::adjacency::Adjacency;
+use crate::inpaint;
+
+/// Neighbours on one flat surface differ in their normals by less than the angle of this cosine.
+const FLAT: f32 = 0.95;
+/// Edges of the cells in which labels are counted, texels: a rim of wrong labels around what is hidden is thinner.
+const CELLS: [f32; 6] = [8.0, 16.0, 32.0, 64.0, 128.0, 256.0];
+/// Labelled texels that must lie around a hidden one before they are believed.
+const ENOUGH: u32 = 100;
+
+/// The flat surface that each texel is part of.
+pub fn flat_surfaces(atlas: &Atlas, adjacency: &Adjacency) -> Vec<u32> {
+    let normal = |t: u32| Vec3::from(atlas.points[t as usize].normal);
+    connected(atlas.points.len(), adjacency, |a, b| normal(a).dot(normal(b)) > FLAT).0
+}
+
+/// Labels hidden texels as most of the labelled ones around them on their `surface` are. What has too few of them around
+/// stays unlabelled. `texel` is the edge of a typical texel, metres.
+pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) -> Vec<Option<u16>> {
+    let mut labels = known.to_vec();
+    for edge in CELLS.map(|edge| edge * texel) {
+        let place = |t: usize| Vec3::from(atlas.points[t].position) / edge;
+        let mut cells: HashMap<(IVec3, u32), Vec<(u16, u32)>> = HashMap::new();
+        for (t, label) in known.iter().enumerate() {
+            let Some(label) = *label else { continue };
+            let counts = cells.entry((place(t).floor().as_ivec3(), surface[t])).or_default();
+            match counts.iter_mut().find(|(known, _)| *known == label) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((label, 1)),
+            }
+        }
+        labels.par_iter_mut().enumerate().filter(|(_, label)| label.is_none()).for_each(|(t, label)| {
+            let base = (place(t) - 0.5).floor().as_ivec3();
+            let mut counts: Vec<(u16, u32)> = (0..8)
+                .filter_map(|corner| {
+                    cells.get(&(base + IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2), surface[t]))
+                })
+                .flatten()
+                .copied()
+                .collect();
+            counts.sort_unstable();
+            let all: u32 = counts.iter().map(|(_, count)| count).sum();
+            if all >= ENOUGH {
+                let sums =
+                    counts.chunk_by(|a, b| a.0 == b.0).map(|same| (same.iter().map(|c| c.1).sum::<u32>(), same[0].0));
+                *label = sums.max().map(|(_, label)| label);
+            }
+        });
+    }
+    labels
+}
+
+/// Albedo and roughness of hidden texels: those near in their segment.
+pub fn paint(
+    atlas: &Atlas,
+    segment: &[u32],
+    seen: impl Fn(usize) -> bool + Sync,
+    (albedo, roughness): (&mut [Vec3A], &mut [f32]),
+    texel: f32,
+) {
+    let fill = |value: &dyn Fn(usize) -> [f32; 3]| {
+        let known: Vec<_> = (0..segment.len()).map(|t| seen(t).then(|| value(t))).collect();
+        inpaint::fill_groups(&atlas.points, segment, &known, |_| true, texel)
+    };
+    let filled = fill(&|t| albedo[t].to_array());
+    albedo.iter_mut().zip(filled).for_each(|(albedo, filled)| *albedo = Vec3A::from(filled));
+    let filled = fill(&|t| [roughness[t]; 3]);
+    roughness.iter_mut().zip(filled).for_each(|(roughness, [filled, ..])| *roughness = filled);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::SurfacePoint;
+
+    const SIDE: usize = 40;
+    const TEXEL: f32 = 0.05;
+
+    /// A floor of `SIDE` × `SIDE` texels, and a shelf as large a little above it.
+    fn floor_and_shelf() -> Atlas {
+        let point = |t: usize| {
+            let (x, y, z) = (t % SIDE, t / SIDE % SIDE, t / SIDE / SIDE);
+            let position = [x as f32 * TEXEL, y as f32 * TEXEL, 0.1 * z as f32];
+            SurfacePoint { position, triangle: z as u32, normal: [0.0, 0.0, 1.0], sequence: t as u32 }
+        };
+        let texels = 2 * SIDE * SIDE;
+        Atlas {
+            width: SIDE,
+            height: 2 * SIDE,
+            texels: (0..texels as u32).collect(),
+            points: (0..texels).map(point).collect(),
+            inside: vec![true; texels],
+        }
+    }
+
+    /// Distance of a texel from the hidden square in the middle of the floor, texels; 0 inside.
+    fn from_hidden(t: usize) -> usize {
+        let off = |x: usize| 12usize.saturating_sub(x).max(x.saturating_sub(28));
+        off(t % SIDE).max(off(t / SIDE))
+    }
+
+    /// Floor is 1, the shelf 2; a rim around what is hidden was taken for the sofa, 3.
+    fn seen(t: usize) -> Option<u16> {
+        match (t < SIDE * SIDE, from_hidden(t)) {
+            (false, _) => Some(2),
+            (true, 0) => None,
+            (true, 1) => Some(3),
+            (true, _) => Some(1),
+        }
+    }
+
+    #[test]
+    fn hidden_texels_are_what_most_of_their_surface_is() {
+        let atlas = floor_and_shelf();
+        let surface: Vec<u32> = atlas.points.iter().map(|p| p.triangle).collect();
+        let known: Vec<Option<u16>> = (0..atlas.points.len()).map(seen).collect();
+        let labels = label(&atlas, &surface, &known, TEXEL);
+        for t in 0..SIDE * SIDE {
+            assert_eq!(labels[t], Some(seen(t).unwrap_or(1)), "texel {t}");
+        }
+        // Negative control: on one surface with the shelf, which is seen all over, the hidden floor is taken for it.
+        let one = label(&atlas, &vec![0; surface.len()], &known, TEXEL);
+        assert_eq!(one[20 * SIDE + 20], Some(2));
+        // A surface that is hidden altogether stays unlabelled.
+        let nothing: Vec<Option<u16>> = known.iter().zip(&surface).map(|(k, s)| k.filter(|_| *s == 1)).collect();
+        assert_eq!(label(&atlas, &surface, &nothing, TEXEL)[0], None);
+    }
+
+    #[test]
+    fn hidden_texels_are_painted_as_their_segment_is_around_them() {
+        let atlas = floor_and_shelf();
+        let segment: Vec<u32> = atlas.points.iter().map(|p| p.triangle).collect();
+        let seen_at_all = |t: usize| seen(t).is_some();
+        // Brown and half rough to the left, darker and smoother to the right; nonsense where nothing is seen.
+        let truth = |t: usize| if t % SIDE < SIDE / 2 { ([0.4, 0.3, 0.2], 0.5) } else { ([0.2, 0.15, 0.1], 0.3) };
+        let value = |t: usize| if seen_at_all(t) { truth(t) } else { ([1.0, 0.0, 1.0], 0.9) };
+        let mut albedo: Vec<Vec3A> = (0..segment.len()).map(|t| Vec3A::from(value(t).0)).collect();
+        let mut roughness: Vec<f32> = (0..segment.len()).map(|t| value(t).1).collect();
+        paint(&atlas, &segment, seen_at_all, (&mut albedo, &mut roughness), TEXEL);
+        for t in (0..SIDE * SIDE).filter(|&t| !seen_at_all(t)) {
+            let (a, r) = (albedo[t], roughness[t]);
+            assert!((0.19..0.41).contains(&a.x) && (a.y / a.x - 0.75).abs() < 0.01, "texel {t}: {a}");
+            assert!((0.29..0.51).contains(&r), "texel {t}: {r}");
+        }
+        let left = 20 * SIDE + 12;
+        assert!((albedo[left].x - 0.4).abs() < 0.01 && (roughness[left] - 0.5).abs() < 0.01);
+    }
+}
