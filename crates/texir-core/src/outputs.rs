@@ -48,11 +48,13 @@ pub const SETTINGS: &str = "settings.toml";
 pub const LOG: &str = "log.jsonl";
 /// [`Run`], JSON.
 pub const RUN: &str = "run.json";
+/// [`crate::capture::Corrections`] of the views, JSON; written where some were asked for.
+pub const CORRECTIONS: &str = "corrections.json";
 /// The report, HTML.
 pub const REPORT: &str = "report.html";
 
 /// Every file of the folder.
-const FILES: [&str; 16] = [
+const FILES: [&str; 17] = [
     ALBEDO,
     ROUGHNESS,
     IRRADIANCE,
@@ -68,6 +70,7 @@ const FILES: [&str; 16] = [
     SETTINGS,
     LOG,
     RUN,
+    CORRECTIONS,
     REPORT,
 ];
 

@@ -1,7 +1,7 @@
 //! What is corrected in the views of a capture before they are used.
 
 use clap::Args;
-use texir_core::capture::{Capture, Split, View};
+use texir_core::capture::{Capture, Corrections, Split, View};
 use texir_core::scene::Scene;
 use texir_core::tbl::{exposure, pose};
 
@@ -11,7 +11,7 @@ use crate::failure::Failure;
 
 /// Corrections of the training views.
 #[derive(Debug, Args)]
-pub struct Corrections {
+pub struct CorrectionArgs {
     /// Correct small errors of the training views' poses first, until they show the same on the mesh
     #[arg(long)]
     refine_poses: bool,
@@ -20,12 +20,12 @@ pub struct Corrections {
     solve_exposure: bool,
 }
 
-impl Corrections {
+impl CorrectionArgs {
     /// Corrects the views, exposure first: poses are found by comparing radiance. An HDR texture of the capture is dropped,
-    /// because it was made of the views as they were.
-    pub fn apply(&self, capture: &mut Capture, session: &Session<'_>) -> Result<(), Failure> {
+    /// because it was made of the views as they were. Returns what was corrected; `None` when nothing is asked for.
+    pub fn apply(&self, capture: &mut Capture, session: &Session<'_>) -> Result<Option<Corrections>, Failure> {
         if !self.solve_exposure && !self.refine_poses {
-            return Ok(());
+            return Ok(None);
         }
         capture.tbl = None;
         let scene = Scene::new(capture.mesh.clone())?;
@@ -50,6 +50,6 @@ impl Corrections {
                 view.camera.world_from_camera = pose;
             }
         }
-        Ok(())
+        Ok(Some(Corrections::of(capture)))
     }
 }

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use texir_core::atomic_file::write_atomic;
-use texir_core::capture::{self, Capture, LoadOptions};
+use texir_core::capture::{self, Capture, Corrections, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
-use texir_core::outputs::{FitOutput, METRICS, RUN, Run};
+use texir_core::outputs::{CORRECTIONS, FitOutput, METRICS, RUN, Run};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
@@ -57,14 +57,19 @@ pub fn of_output(
     Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
 }
 
-/// The given capture, or the one that `out` was fitted to.
+/// The given capture, or the one that `out` was fitted to, with its views corrected as the fit corrected them.
 pub fn load_capture(out: &Path, given: Option<&Path>, session: &Session<'_>) -> Result<Capture, Failure> {
     let folder = match given {
         Some(folder) => folder.to_owned(),
         None => read_run(out).map_err(|failure| failure.help("name the capture with --capture"))?.capture,
     };
-    capture::load(&folder, &LoadOptions::default(), session.console)
-        .context(format!("the capture {} could not be read", folder.display()))
+    let mut capture = capture::load(&folder, &LoadOptions::default(), session.console)
+        .context(format!("the capture {} could not be read", folder.display()))?;
+    let path = out.join(CORRECTIONS);
+    Corrections::read(&path)?
+        .apply(&mut capture, session.console)
+        .context(format!("{} cannot be applied", path.display()))?;
+    Ok(capture)
 }
 
 /// How the fit in `out` came about.

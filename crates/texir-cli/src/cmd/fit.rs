@@ -9,11 +9,11 @@ use texir_core::capture::Capture;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::fit::{self, EpochLog, FitResult};
 use texir_core::glb::{Materials, Up, write_glb};
-use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
+use texir_core::outputs::{CORRECTIONS, FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
 use texir_core::render::Textures;
 use texir_core::scene::Scene;
 
-use super::corrections::Corrections;
+use super::corrections::CorrectionArgs;
 use super::{CaptureArgs, Session, describe, eval, report};
 use crate::args::Config;
 use crate::device;
@@ -26,7 +26,7 @@ pub struct Fit {
     #[command(flatten)]
     capture: CaptureArgs,
     #[command(flatten)]
-    corrections: Corrections,
+    corrections: CorrectionArgs,
     /// Folder for textures, scene.glb, metrics and report
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -64,7 +64,9 @@ impl Fit {
         let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
         let mut capture = self.capture.load(session)?;
-        self.corrections.apply(&mut capture, session)?;
+        if let Some(corrections) = self.corrections.apply(&mut capture, session)? {
+            corrections.write(&staging.folder().join(CORRECTIONS))?;
+        }
         let output = write(staging, &capture, session)?;
         if self.no_eval {
             return Ok(());

@@ -9,7 +9,7 @@ use texir_core::capture::{self, Capture, Coverage, Split, View};
 use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
-use super::corrections::Corrections;
+use super::corrections::CorrectionArgs;
 use super::{CaptureArgs, Session};
 use crate::device;
 use crate::failure::Failure;
@@ -20,7 +20,7 @@ pub struct Tbl {
     #[command(flatten)]
     capture: CaptureArgs,
     #[command(flatten)]
-    corrections: Corrections,
+    corrections: CorrectionArgs,
     /// The HDR texture; its coverage mask goes beside it, as NAME_mask.png
     #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
     output: PathBuf,

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use serde_json::Value;
-use texir_core::image_io::{read_gray, read_labels, read_rgb};
+use texir_core::image_io::{read_gray, read_labels, read_rgb, write_rgb};
 use texir_core::raster::Rgb;
 
 use crate::room::{ATLAS, Capture, HEIGHT, VIEWS, WIDTH, names};
-use crate::texir::{fit, succeed};
+use crate::texir::{fit, run, succeed};
 
 /// Everything that a fit with ground truth leaves behind.
 const FILES: [&str; 15] = [
@@ -110,6 +110,31 @@ fn fit_render_eval_and_report_on_the_cpu() {
     let said = succeed(&["report".as_ref(), out.as_os_str(), "--spp".as_ref(), "8".as_ref(), "-q".as_ref()]);
     assert!(said.out.contains("report.html") && said.out.contains("Novel views"), "{}", said.out);
     assert_self_contained(&out.join("report.html"));
+}
+
+#[test]
+fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
+    let capture = Capture::new();
+    let out = capture.out("out");
+    let dim = capture.file("hdr/b.exr");
+    let image = read_rgb(&dim).unwrap().map(|rgb| rgb.map(|l| 0.4 * l));
+    write_rgb(&dim, &image).unwrap();
+    let fitted = succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--json", "--solve-exposure"]));
+    let stored = json(&std::fs::read_to_string(out.join("corrections.json")).unwrap());
+    let scale = |view: &str| stored[view]["scale"][0].as_f64().unwrap();
+    assert!((scale("b") / scale("a") - 2.5).abs() < 0.2, "{stored}");
+    assert!(stored.get("novel").is_none() && stored["a"]["transform_matrix"][3][3] == 1.0, "{stored}");
+    let psnr = |text: &str| json(text).pointer("/result/train/image/psnr").unwrap().as_f64().unwrap();
+    let evaluate = ["eval".as_ref(), out.as_os_str(), "--json".as_ref(), "--backend".as_ref(), "cpu".as_ref()];
+    let evaluated = psnr(&succeed(&evaluate).out);
+    assert!((evaluated - psnr(&fitted.out)).abs() < 0.02, "{evaluated} is not {}", psnr(&fitted.out));
+    // Negative control: the dim view compared as it is.
+    std::fs::remove_file(out.join("corrections.json")).unwrap();
+    let uncorrected = psnr(&succeed(&evaluate).out);
+    assert!(uncorrected < evaluated - 1.0, "{uncorrected} and {evaluated}");
+    // What somebody wrote there by hand is checked.
+    std::fs::write(out.join("corrections.json"), r#"{"b": {"scale": [1, 0, 1], "transform_matrix": []}}"#).unwrap();
+    run(&evaluate).complains(&["corrections.json", "view \"b\"", "scale [1.0, 0.0, 1.0]", "positive"]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! A capture: a mesh, posed HDR views, and what is known about them. [`load`] reads texir's own folder; [`import`] makes one
 //! of other programs' files.
 
+mod corrections;
 pub mod import;
 mod load;
 pub mod nerfstudio;
@@ -10,6 +11,7 @@ mod view;
 
 use std::path::{Path, PathBuf};
 
+pub use self::corrections::Corrections;
 pub use self::load::load;
 use crate::camera::Camera;
 use crate::error::Result;

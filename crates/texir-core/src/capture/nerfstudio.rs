@@ -316,13 +316,7 @@ pub fn write_transforms(path: impl AsRef<Path>, views: &[View]) -> Result<()> {
             split: Some(if view.split == Split::Train { "train" } else { "novel" }.to_owned()),
             room_id: view.room_id,
             model: if model == shared { CameraModel::default() } else { model },
-            transform_matrix: view
-                .camera
-                .world_from_camera
-                .transpose()
-                .to_cols_array_2d()
-                .map(|row| row.map(f64::from).to_vec())
-                .to_vec(),
+            transform_matrix: pose::to_rows(view.camera.world_from_camera),
         }
     };
     let of_split = |split| views.iter().filter(|v| v.split == split).map(|v| local(&v.image)).collect();

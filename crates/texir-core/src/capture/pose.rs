@@ -1,6 +1,6 @@
 //! Camera poses as rows of numbers, checked to be rigid.
 
-use glam::{DMat3, DMat4, DVec4};
+use glam::{DMat3, DMat4, DVec4, Mat4};
 
 /// A rotation may differ from an orthonormal one by this much per entry of RᵀR: files with few digits, f32 arithmetic.
 const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
@@ -21,6 +21,11 @@ pub(super) fn from_rows<R: AsRef<[f64]> + std::fmt::Debug>(rows: &[R]) -> Result
     }
     check_rigid(&matrix)?;
     Ok(matrix)
+}
+
+/// The rows of a matrix, as [`from_rows`] takes them.
+pub(super) fn to_rows(matrix: Mat4) -> Vec<Vec<f64>> {
+    matrix.transpose().to_cols_array_2d().map(|row| row.map(f64::from).to_vec()).to_vec()
 }
 
 /// An error unless the upper left of the matrix is a rotation.
