@@ -1,6 +1,7 @@
 //! `texir inspect`: a dry run. What was found in a capture and what is assumed of it, whether its cameras and its atlas make
 //! sense, and what a fit will cost.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -52,6 +53,8 @@ struct Findings {
     atlas: AtlasFindings,
     views: Vec<ViewFindings>,
     known: Known,
+    /// The most frequent first.
+    classes: Vec<ClassFindings>,
     estimate: Estimate,
     warnings: Vec<String>,
 }
@@ -119,6 +122,16 @@ struct Known {
     hdr_texture: bool,
     emission: bool,
     true_textures: bool,
+}
+
+/// A semantic class in the views.
+#[derive(Serialize)]
+struct ClassFindings {
+    id: u16,
+    /// Where the capture names a list of classes.
+    name: Option<String>,
+    /// Share of the pixels of all semantic images.
+    share: f64,
 }
 
 /// What a fit with the current settings takes.
@@ -216,6 +229,8 @@ fn inspect(capture: &Capture, origin: Origin, settings: &FitSettings) -> Result<
     let mut backend = CpuBackend::new(&scene);
     let views = capture.views.iter().map(|view| probe(&mut backend, mesh, view)).collect::<Result<Vec<_>, _>>()?;
     let (low, high) = mesh.bounds();
+    let mut unreadable = Vec::new();
+    let classes = classes(&capture.views, &mut unreadable);
     let mut findings = Findings {
         capture: capture.root.display().to_string(),
         mesh: MeshFindings {
@@ -226,12 +241,14 @@ fn inspect(capture: &Capture, origin: Origin, settings: &FitSettings) -> Result<
             area,
         },
         known: known(capture),
+        classes,
         estimate: estimate(capture, settings, &atlas),
         atlas,
         views,
         warnings: origin.warnings.clone(),
         origin,
     };
+    findings.warnings.extend(unreadable);
     findings.warnings.extend(warnings(&findings));
     Ok(findings)
 }
@@ -305,6 +322,27 @@ fn known(capture: &Capture) -> Known {
         emission: capture.emission.is_some(),
         true_textures: capture.truth.is_some(),
     }
+}
+
+/// What the semantic images hold; what is wrong with those that cannot be read goes to `unreadable`.
+fn classes(views: &[View], unreadable: &mut Vec<String>) -> Vec<ClassFindings> {
+    let mut pixels: BTreeMap<u16, usize> = BTreeMap::new();
+    for view in views {
+        match view.read_semantic() {
+            Ok(labels) => labels.iter().flat_map(|l| &l.data).for_each(|id| *pixels.entry(*id).or_default() += 1),
+            Err(e) => unreadable.push(e.to_string()),
+        }
+    }
+    let all = pixels.values().sum::<usize>() as f64;
+    let list = views.iter().find_map(|view| view.classes.as_ref());
+    let name = |id| match id {
+        0 => Some("unknown".to_owned()),
+        _ => Some(list?.of_id(id)?.name.clone()),
+    };
+    let of_id = |(&id, &pixels): (&u16, &usize)| ClassFindings { id, name: name(id), share: pixels as f64 / all };
+    let mut found: Vec<ClassFindings> = pixels.iter().map(of_id).collect();
+    found.sort_by(|a, b| b.share.total_cmp(&a.share));
+    found
 }
 
 fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) -> Estimate {
@@ -399,6 +437,13 @@ fn text(findings: &Findings) -> String {
             findings.views.len()
         ),
     );
+    let class = |class: &ClassFindings| {
+        let name = class.name.clone().unwrap_or_else(|| format!("class {}", class.id));
+        format!("{name} {:.1} %", 100.0 * class.share)
+    };
+    if !findings.classes.is_empty() {
+        line("classes", findings.classes.iter().map(class).collect::<Vec<_>>().join(", "));
+    }
     let yes = |known| if known { "given" } else { "to be built" };
     line("HDR texture", yes(known.hdr_texture).to_owned());
     line("emission", if known.emission { "given" } else { "to be found in the HDR texture" }.to_owned());

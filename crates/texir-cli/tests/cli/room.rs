@@ -162,6 +162,7 @@ impl Room {
                 image: file("hdr", "exr"),
                 scale: [1.0; 3],
                 semantic: Some(file("semantic", "png")),
+                classes: None,
                 mask: Some(file("mask", "png")),
                 room: None,
                 room_id: None,

@@ -1,6 +1,7 @@
 //! A capture: a mesh, posed HDR views, and what is known about them. [`load`] reads texir's own folder; [`import`] makes one
 //! of other programs' files.
 
+mod classes;
 mod corrections;
 pub mod import;
 mod load;
@@ -10,7 +11,9 @@ mod tbl_file;
 mod view;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+pub use self::classes::{Class, Classes};
 pub use self::corrections::Corrections;
 pub use self::load::load;
 use crate::camera::Camera;
@@ -44,6 +47,8 @@ pub struct View {
     pub scale: [f32; 3],
     /// Semantic class per pixel; 0 is "unknown".
     pub semantic: Option<PathBuf>,
+    /// What the classes are called and how they are coloured, where the capture says so.
+    pub classes: Option<Arc<Classes>>,
     /// Pixels to use (non-zero); excludes emitters, the rig, misses.
     pub mask: Option<PathBuf>,
     /// Room id per pixel; 0 is "unknown".

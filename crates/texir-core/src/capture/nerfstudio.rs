@@ -4,13 +4,14 @@
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::import::files::view_names;
 use super::import::numbers::read_text;
 use super::import::{Distortion, Shot};
-use super::{Split, View, pose};
+use super::{Classes, Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
@@ -25,6 +26,9 @@ struct Transforms {
     val_filenames: Option<Vec<String>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     test_filenames: Option<Vec<String>>,
+    /// texir's: a list of classes ([`Classes::open`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    classes: Option<String>,
     frames: Vec<Frame>,
 }
 
@@ -112,6 +116,7 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
     let names = names(path, &file.frames)?;
     let splits = SplitLists::new(&file);
     let folder = path.parent().unwrap_or(Path::new(""));
+    let classes = file.classes.as_ref().map(|name| Classes::open(name, folder)).transpose()?.map(Arc::new);
     let view = |(index, (frame, name)): (usize, (&Frame, String))| {
         let place = Place { path, index, file_path: &frame.file_path };
         let local = |file: &Option<String>| file.as_ref().map(|file| folder.join(file));
@@ -123,6 +128,7 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
             image: folder.join(&frame.file_path),
             scale: [1.0; 3],
             semantic: local(&frame.semantic_path),
+            classes: classes.clone(),
             mask: local(&frame.mask_path),
             room: local(&frame.room_path),
             room_id: frame.room_id,
@@ -324,6 +330,7 @@ pub fn write_transforms(path: impl AsRef<Path>, views: &[View]) -> Result<()> {
         train_filenames: Some(of_split(Split::Train)),
         test_filenames: Some(of_split(Split::Novel)),
         val_filenames: None,
+        classes: views.first().and_then(|view| Some(view.classes.as_ref()?.name.clone())),
         frames: views.iter().map(frame).collect(),
         model: shared,
     };

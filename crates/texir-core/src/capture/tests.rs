@@ -69,6 +69,7 @@ fn views(root: &Path) -> Vec<View> {
         image: root.join(format!("hdr/view_{i}.exr")),
         scale: [1.0; 3],
         semantic: Some(root.join(format!("semantic/view_{i}.png"))),
+        classes: None,
         mask: Some(root.join(format!("mask/view_{i}.png"))),
         room: Some(root.join(format!("room/view_{i}.png"))),
         room_id: Some(1),

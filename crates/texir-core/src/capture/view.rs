@@ -13,7 +13,20 @@ impl View {
     /// A view of which nothing but the image is known.
     pub fn new(name: String, camera: Camera, split: Split, image: PathBuf) -> Self {
         let (semantic, mask, room, albedo, roughness) = (None, None, None, None, None);
-        Self { name, camera, split, image, scale: [1.0; 3], semantic, mask, room, room_id: None, albedo, roughness }
+        Self {
+            name,
+            camera,
+            split,
+            image,
+            scale: [1.0; 3],
+            semantic,
+            classes: None,
+            mask,
+            room,
+            room_id: None,
+            albedo,
+            roughness,
+        }
     }
 
     /// The radiance, linear, times [`View::scale`]. Channels that no radiance can have are set to 0, and a warning says how many.
@@ -31,7 +44,17 @@ impl View {
 
     /// Semantic class per pixel; 0 is "unknown".
     pub fn load_semantic(&self) -> Result<Option<Labels>> {
-        self.load(self.semantic.as_deref(), read_labels)
+        let sized = |(path, labels): (&PathBuf, Labels)| self.sized(path, labels);
+        self.semantic.as_ref().zip(self.read_semantic()?).map(sized).transpose()
+    }
+
+    /// [`View::load_semantic`] for an image that need not have the camera's size.
+    pub fn read_semantic(&self) -> Result<Option<Labels>> {
+        let read = |path: &PathBuf| match &self.classes {
+            Some(classes) => classes.read(path),
+            None => read_labels(path),
+        };
+        self.semantic.as_ref().map(read).transpose()
     }
 
     /// Pixels to use.
@@ -80,6 +103,7 @@ impl View {
             self.check_size(field, path, image_io::read_size(path)?)?;
             image_io::check_whole(path)?;
         }
+        self.load_semantic()?;
         Ok(())
     }
 

@@ -47,6 +47,7 @@ fn write_view(rendered: &Rendered, folder: &Path) -> Result<View> {
         image: file("hdr", "exr"),
         scale: [1.0; 3],
         semantic: Some(file("semantic", "png")),
+        classes: None,
         mask: Some(file("mask", "png")),
         room: Some(file("room", "png")),
         room_id: Some(shot.room_id),

@@ -73,6 +73,7 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
             image: file("image.exr"),
             scale: [1.0; 3],
             semantic: None,
+            classes: None,
             mask: Some(file("mask.png")),
             room: None,
             room_id: None,

@@ -165,6 +165,21 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Labels> {
     }
 }
 
+/// The colours of a PNG in colour or palette, 8-bit RGB as stored; `None` for other images, whose values are ids
+/// ([`read_labels`]).
+pub fn read_colors(path: impl AsRef<Path>) -> Result<Option<Raster<[u8; 3]>>> {
+    let path = path.as_ref();
+    read_size(path)?;
+    if format_of(path)? != Format::Png || !png::is_colored(path)? {
+        return Ok(None);
+    }
+    let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
+    let decoded = ImageReader::with_format(file, ImageFormat::Png).decode().map_err(|e| cannot_read(path, e))?;
+    let rgb = decoded.into_rgb8();
+    let (width, height) = (rgb.width() as usize, rgb.height() as usize);
+    Raster::new(width, height, rgb.pixels().map(|p| p.0).collect()).map(Some)
+}
+
 /// True where any colour channel of a PNG, or the one channel of an OpenEXR, is not zero.
 pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
     let path = path.as_ref();

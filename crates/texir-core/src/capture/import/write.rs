@@ -1,6 +1,7 @@
 //! A source as a capture folder.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -15,7 +16,7 @@ use crate::image_io::{
 };
 use crate::mesh_io::obj;
 use crate::progress::Progress;
-use crate::raster::{Mask, Raster};
+use crate::raster::{Labels, Mask, Raster};
 
 /// What an import did to the images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -77,7 +78,11 @@ pub fn write(
             written.decoded
         ));
     }
-    let views: Vec<View> = converted.into_iter().map(|c| c.view).collect();
+    let mut views: Vec<View> = converted.into_iter().map(|c| c.view).collect();
+    if let Some(classes) = views.iter().find_map(|view| view.classes.clone()) {
+        let classes = Arc::new(classes.bring(out)?);
+        views.iter_mut().for_each(|view| view.classes = Some(classes.clone()));
+    }
     nerfstudio::write_transforms(transforms, &views)?;
     Ok(written)
 }
@@ -127,9 +132,14 @@ impl Job<'_> {
                 name: view.name.clone(),
                 camera: lens.map_or(view.camera, |lens| lens.pinhole),
                 image,
-                semantic: self.labels(view.semantic.as_deref(), lens, size, file("semantic", "png"))?,
+                semantic: self.labels(view.read_semantic()?, lens, size, file("semantic", "png"))?,
                 mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png"))?,
-                room: self.labels(view.room.as_deref(), lens, size, file("room", "png"))?,
+                room: self.labels(
+                    view.room.as_deref().map(read_labels).transpose()?,
+                    lens,
+                    size,
+                    file("room", "png"),
+                )?,
                 albedo: view
                     .albedo
                     .as_deref()
@@ -187,13 +197,13 @@ impl Job<'_> {
     /// Ids at the size of the image: files of another size (segmentation at half resolution) are spread.
     fn labels(
         &self,
-        from: Option<&Path>,
+        labels: Option<Labels>,
         lens: Option<&Undistortion>,
         size: (usize, usize),
         to: PathBuf,
     ) -> Result<Option<PathBuf>> {
-        let Some(from) = from else { return Ok(None) };
-        let labels = spread(&read_labels(from)?, size);
+        let Some(labels) = labels else { return Ok(None) };
+        let labels = spread(&labels, size);
         write_png_labels(&to, &lens.map_or_else(|| labels.clone(), |lens| lens.nearest(&labels)))?;
         Ok(Some(to))
     }
