@@ -11,6 +11,7 @@ pub mod exposure;
 mod photo;
 pub mod pose;
 mod sample;
+pub(crate) mod shown;
 mod sources;
 mod unseen;
 
@@ -232,4 +233,4 @@ impl Fusion<'_> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::Fusion;
 use super::photo::Photo;
-use super::sample::pixels_per_steradian;
+use super::shown::pixels_per_steradian;
 use crate::atlas::TexelIndex;
 use crate::backend::Backend;
 use crate::camera::{Camera, Projection};

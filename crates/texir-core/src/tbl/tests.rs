@@ -10,7 +10,7 @@ use crate::progress::Silent;
 use crate::raster::{Mask, Rgb};
 
 const SIZE: (usize, usize) = (384, 256);
-const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
+pub(crate) const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
 
 /// A quad from `corner` along two edges, seen from the side of a × b, in one of 3×2 cells of the atlas.
 fn quad(mesh: &mut Mesh, cell: u32, corner: Vec3, a: Vec3, b: Vec3) {
@@ -26,7 +26,7 @@ fn quad(mesh: &mut Mesh, cell: u32, corner: Vec3, a: Vec3, b: Vec3) {
 }
 
 /// A closed room, its faces pointing inwards.
-fn room() -> Mesh {
+pub(crate) fn room() -> Mesh {
     let (x, y, z) = (Vec3::X * ROOM.x, Vec3::Y * ROOM.y, Vec3::Z * ROOM.z);
     let mut mesh = Mesh::default();
     quad(&mut mesh, 0, Vec3::ZERO, x, y);
@@ -44,7 +44,7 @@ fn pattern(p: Vec3) -> [f32; 3] {
     [wave(0.0), wave(0.2), wave(0.5)]
 }
 
-fn panorama(position: Vec3, yaw: f32) -> Camera {
+pub(crate) fn panorama(position: Vec3, yaw: f32) -> Camera {
     // Turned upright: the camera's +Y is the room's +Z.
     let upright = Mat4::from_rotation_z(yaw) * Mat4::from_rotation_x(std::f32::consts::FRAC_PI_2);
     let world_from_camera = Mat4::from_translation(position) * upright;

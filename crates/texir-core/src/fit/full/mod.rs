@@ -6,6 +6,7 @@ pub mod albedo;
 pub mod blocks;
 pub mod hidden;
 pub mod hierarchy;
+pub mod labels;
 pub mod local;
 pub mod observations;
 pub mod palette;

@@ -5,6 +5,7 @@ use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
 use super::blocks::{self, AXIS, Blocks, Patch};
+use super::labels::{Votes, witnesses};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::capture::View;
@@ -19,7 +20,7 @@ use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
 
 /// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked, or see a light source
-/// even in part are left out. All lists are per pixel.
+/// even in part are left out. Lists are per pixel.
 #[derive(Default)]
 pub struct Observations {
     /// Observed radiance.
@@ -34,10 +35,10 @@ pub struct Observations {
     pub rows: Rows,
     /// The transpose of `rows`: by texel, the pixels that see it.
     pub columns: Rows,
-    /// Semantic class; 0 is "unknown".
-    pub class: Vec<u16>,
-    /// Room as the capture names it; 0 is "unknown".
-    pub room: Vec<u16>,
+    /// Semantic classes, by texel.
+    pub class: Votes,
+    /// Rooms as the capture names them, by texel.
+    pub room: Votes,
     /// Number of pixels of each view, in order.
     pub views: Vec<usize>,
 }
@@ -167,12 +168,16 @@ impl Observer<'_> {
         all.cosine.extend(cosine);
         for (pixel, taps) in &pixels {
             all.radiance.push(Vec3A::from(image.data[*pixel]));
-            all.class.push(label(&classes, *pixel));
-            all.room.push(label(&rooms, *pixel).max(view.room_id.filter(|_| rooms.is_none()).unwrap_or(0)));
             all.rows.taps.extend(taps);
             all.rows.offsets.push(all.rows.taps.len() as u32);
         }
         all.views.push(pixels.len());
+        if classes.is_some() || rooms.is_some() || view.room_id.is_some() {
+            let witnesses = witnesses(backend, mesh, self.atlas, view, mask.as_ref())?;
+            all.class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
+            let of_view = view.room_id.unwrap_or(0);
+            all.room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
+        }
         Ok(())
     }
 }

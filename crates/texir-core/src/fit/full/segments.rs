@@ -6,11 +6,11 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::hidden;
+use super::labels::Votes;
 use super::observations::Observations;
 use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
-use crate::texture::Tap;
 
 /// Labels of every valid texel.
 pub struct Segments {
@@ -24,10 +24,9 @@ pub struct Segments {
     pub count: usize,
 }
 
-/// Labels the texels by the votes of the pixels that see them, each with its share of the texel, so that what one view
-/// mistakes the others correct. Texels that no pixel sees take the label of what is seen of their flat surface, or of the
-/// nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. `texel` is the edge
-/// of a typical texel, metres.
+/// Labels the texels by the votes of the views, so that what one view mistakes the others correct. Texels around which
+/// there are none take the label of what is seen of their flat surface, or of the nearest texel along the mesh. Rooms are
+/// the capture's, where it names them, and else the floor plan's. `texel` is the edge of a typical texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
@@ -35,17 +34,14 @@ pub fn segment(
     plan: &FloorPlan,
 ) -> Segments {
     let surface = hidden::flat_surfaces(atlas, adjacency);
-    let everywhere = |votes: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
-        spread(hidden::label(atlas, &surface, votes, texel), adjacency, otherwise)
+    let everywhere = |votes: &Votes, otherwise: &dyn Fn(usize) -> u16| {
+        let known = votes.labels(atlas, adjacency, texel);
+        spread(hidden::label(atlas, &surface, &known, texel), adjacency, otherwise)
     };
-    let class = everywhere(&vote(seen, |p| Some(seen.class[p]).filter(|&c| c != 0)), &|_| 0);
+    let class = everywhere(&seen.class, &|_| 0);
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
-    let room = if seen.room.iter().any(|&r| r != 0) {
-        everywhere(&vote(seen, |p| Some(seen.room[p]).filter(|&r| r != 0)), &|i| planned[i])
-    } else {
-        planned
-    };
+    let room = if seen.room.is_empty() { planned } else { everywhere(&seen.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.iter().copied().zip(room).collect();
     let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
     let mut pairs: Vec<(u16, u16)> = in_room.clone();
@@ -53,24 +49,6 @@ pub fn segment(
     pairs.dedup();
     let number = |pair: &(u16, u16)| pairs.partition_point(|p| p < pair) as u32;
     Segments { class, class_in_room: in_room.par_iter().map(number).collect(), segment, count }
-}
-
-/// The label with the largest share of each texel's pixels; `None` where no pixel has one.
-pub(super) fn vote(seen: &Observations, label: impl Fn(usize) -> Option<u16> + Sync) -> Vec<Option<u16>> {
-    (0..seen.columns.len())
-        .into_par_iter()
-        .map(|texel| {
-            let mut votes: Vec<(u16, f32)> = Vec::new();
-            for Tap { texel: pixel, weight } in seen.columns.row(texel) {
-                let Some(label) = label(*pixel as usize) else { continue };
-                match votes.iter_mut().find(|(known, _)| *known == label) {
-                    Some((_, votes)) => *votes += weight,
-                    None => votes.push((label, *weight)),
-                }
-            }
-            votes.into_iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))).map(|(label, _)| label)
-        })
-        .collect()
 }
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.

@@ -3,8 +3,8 @@
 use serde_json::json;
 
 use super::*;
-use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels};
-use crate::raster::{Gray, Labels};
+use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels, write_png_rgb};
+use crate::raster::{Gray, Labels, Raster};
 
 /// The COLMAP model of the scene in a world of other orientation, text or binary.
 pub(super) fn colmap(up: Vec3, binary: bool) -> TempDir {
@@ -368,6 +368,28 @@ pub(super) fn nerfstudio() -> TempDir {
     write_gray(root.join("rough.exr"), &Gray::filled(WIDTH, HEIGHT, 0.25)).unwrap();
     write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
     folder
+}
+
+#[test]
+fn semantics_in_colour_become_ids_and_keep_their_names() {
+    let folder = nerfstudio();
+    let path = folder.path().join("transforms.json");
+    let mut document: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    document["classes"] = "lists/mine.json".into();
+    std::fs::write(&path, document.to_string()).unwrap();
+    std::fs::create_dir(folder.path().join("lists")).unwrap();
+    let list = r#"[{"id": 300, "name": "rug", "color": [9, 8, 7]}, {"id": 2, "name": "lamp"}]"#;
+    std::fs::write(folder.path().join("lists/mine.json"), list).unwrap();
+    write_png_rgb(folder.path().join("ids.png"), &Raster::filled(WIDTH, HEIGHT, [9, 8, 7])).unwrap();
+    let read = read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
+
+    let out = tempfile::tempdir().unwrap();
+    write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap();
+    let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
+    assert_eq!(capture.views[2].load_semantic().unwrap().unwrap().data[0], 300);
+    let classes = capture.views[2].classes.as_ref().unwrap();
+    assert_eq!(classes.of_id(300).unwrap().name, "rug");
+    assert!(out.path().join("classes.json").is_file());
 }
 
 #[test]

@@ -1,0 +1,248 @@
+//! Labels of texels, semantic classes or rooms, by the votes of the views' pixels.
+//!
+//! Every texel asks each view that sees it for the label of the pixel that shows it. Segmentations are wrong in other places
+//! in every view, but in regions rather than pixels: votes are therefore weighed nearly alike over the views, so that
+//! the nearest does not decide alone, and blurred over the surface.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::atlas::Atlas;
+use crate::backend::{Backend, Projected};
+use crate::capture::View;
+use crate::error::Result;
+use crate::fit::adjacency::Adjacency;
+use crate::mesh::Mesh;
+use crate::raster::Mask;
+use crate::surface::SurfacePoint;
+use crate::tbl::shown::{Shown, pixels_per_steradian};
+
+/// Surfaces seen at a smaller cosine have no vote: the pixel's neighbour may be metres away on them.
+const MIN_COSINE: f32 = 0.1;
+/// Exponent of a view's resolution (pixels per square metre of surface) in its vote: who is near sees edges best, but is
+/// mistaken as often as others.
+const SHARPNESS: f32 = 0.25;
+/// Votes are blurred by this standard deviation, metres: about two pixels' width of a panorama of 256 columns.
+const BLUR: f32 = 0.07;
+/// A round of the blur averages a texel with its four neighbours, which adds 2/5 of a texel squared to the variance.
+const VARIANCE_PER_ROUND: f32 = 0.4;
+/// Rounds at most, for their time; fine texels are blurred less far.
+const MAX_ROUNDS: f32 = 24.0;
+/// Texels whose normals' cosine is less do not share votes: classes end at creases.
+const SAME_NORMAL: f32 = 0.9;
+
+/// The pixel of a view that shows a texel.
+pub struct Witness {
+    /// Index of the pixel.
+    pub pixel: usize,
+    /// What its vote counts.
+    pub weight: f32,
+}
+
+/// The witness of every texel in a view, where the view sees it and `mask` does not exclude the pixel.
+pub fn witnesses(
+    backend: &mut dyn Backend,
+    mesh: &Mesh,
+    atlas: &Atlas,
+    view: &View,
+    mask: Option<&Mask>,
+) -> Result<Vec<Option<Witness>>> {
+    let shown = Shown::new(backend, mesh, &view.camera)?;
+    let per_steradian = pixels_per_steradian(&view.camera);
+    let projected = backend.project(&atlas.points, &view.camera)?;
+    let witness = |(point, at): (&SurfacePoint, &Projected)| {
+        let Projected { pixel: [x, y], cosine, distance } = *at;
+        let pixel = shown.pixel(x.floor() as i64, y.floor() as i64)?;
+        let seen = distance > 0.0
+            && cosine >= MIN_COSINE
+            && mask.is_none_or(|mask| mask.data[pixel])
+            && shown.shows(pixel, point, distance);
+        seen.then(|| Witness { pixel, weight: (per_steradian * cosine / (distance * distance)).powf(SHARPNESS) })
+    };
+    Ok(atlas.points.par_iter().zip(&projected).map(witness).collect())
+}
+
+/// The votes of all views; empty while nobody voted.
+#[derive(Clone, Default)]
+pub struct Votes(Vec<Ballot>);
+
+/// Labels of a texel with the weight of their votes, 0 for none; more labels than fit are dropped, the weakest first.
+#[derive(Clone, Copy, Default)]
+struct Ballot([(u16, f32); 6]);
+
+impl Ballot {
+    fn add(&mut self, label: u16, weight: f32) {
+        let known = self.0.iter().position(|(l, _)| *l == label);
+        match (known, self.0.iter_mut().min_by(|a, b| a.1.total_cmp(&b.1))) {
+            (Some(known), _) => self.0[known].1 += weight,
+            (None, Some(weakest)) if weakest.1 < weight => *weakest = (label, weight),
+            _ => {}
+        }
+    }
+
+    /// The label with the most votes; the lower of two that are equal.
+    fn winner(&self) -> Option<u16> {
+        let most = self.0.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+        most.map(|(label, _)| *label).filter(|label| *label != 0)
+    }
+}
+
+impl Votes {
+    /// A view's votes: `label` by pixel, of which 0 is none.
+    pub fn add(&mut self, witnesses: &[Option<Witness>], label: impl Fn(usize) -> u16 + Sync) {
+        self.0.resize(witnesses.len(), Ballot::default());
+        self.0.par_iter_mut().zip(witnesses).for_each(|(ballot, witness)| {
+            if let Some(Witness { pixel, weight }) = witness
+                && label(*pixel) != 0
+            {
+                ballot.add(label(*pixel), *weight);
+            }
+        });
+    }
+
+    /// Whether there is any vote.
+    pub fn is_empty(&self) -> bool {
+        self.0.iter().all(|ballot| ballot.winner().is_none())
+    }
+
+    /// The label of every texel; `None` where there is no vote around. Texels are `size` wide, metres.
+    pub fn labels(&self, atlas: &Atlas, adjacency: &Adjacency, size: f32) -> Vec<Option<u16>> {
+        if self.0.is_empty() {
+            return vec![None; atlas.texels.len()];
+        }
+        let facing = |a: u32, b: u32| {
+            Vec3::from(atlas.points[a as usize].normal).dot(atlas.points[b as usize].normal.into()) >= SAME_NORMAL
+        };
+        let rounds = ((BLUR / size).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize;
+        let mut votes = self.0.clone();
+        for _ in 0..rounds {
+            let mean = |t: u32| {
+                let own = std::iter::once(t);
+                let sharing: Vec<u32> = own.chain(adjacency.around(t).filter(|&n| facing(t, n))).collect();
+                let mut sum = Ballot::default();
+                for &(label, weight) in sharing.iter().flat_map(|&n| &votes[n as usize].0) {
+                    if label != 0 {
+                        sum.add(label, weight / sharing.len() as f32);
+                    }
+                }
+                sum
+            };
+            votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
+        }
+        votes.iter().map(Ballot::winner).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::hash::{DefaultHasher, Hash, Hasher};
+    use std::path::PathBuf;
+
+    use super::super::segments::spread;
+    use super::*;
+    use crate::camera::Camera;
+    use crate::capture::Split;
+    use crate::cpu::CpuBackend;
+    use crate::raster::Labels;
+    use crate::scene::Scene;
+    use crate::surface::Hit;
+    use crate::tbl::tests::{ROOM, panorama, room};
+
+    /// Walls with a door, a floor with a rug, a ceiling.
+    fn class(p: Vec3) -> u16 {
+        let within =
+            |x: f32, y: f32, width: f32, height: f32| (p.x - x).abs() < width && (p.y + p.z - y).abs() < height;
+        match p {
+            _ if p.z > ROOM.z - 0.01 => 3,
+            _ if p.z < 0.01 => {
+                if within(2.2, 1.4, 0.8, 0.6) {
+                    5
+                } else {
+                    2
+                }
+            }
+            _ if p.y < 0.01 && within(1.2, 1.0, 0.45, 1.0) => 4,
+            _ => 1,
+        }
+    }
+
+    /// A number in [0, 1) that belongs to `of`.
+    fn chance(of: impl Hash) -> f32 {
+        let mut hasher = DefaultHasher::new();
+        of.hash(&mut hasher);
+        (hasher.finish() >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    /// One pixel in ten of some other class.
+    fn speckled(labels: &Labels, view: usize) -> Labels {
+        let wrong = |(i, id): (usize, &u16)| match chance((view, i)) < 0.1 {
+            true => 1 + (id + (4.0 * chance((view, i, "class"))) as u16) % 5,
+            false => *id,
+        };
+        Labels { data: labels.data.iter().enumerate().map(wrong).collect(), ..*labels }
+    }
+
+    /// Discs of wrong classes, on a tenth of the pixels.
+    fn blotched(labels: &Labels, view: usize) -> Labels {
+        let mut blotched = labels.clone();
+        let (width, height) = (labels.width as f32, labels.height as f32);
+        for disc in 0.. {
+            let [x, y, radius, id] = std::array::from_fn(|k| chance((view, disc, k)));
+            for (i, pixel) in blotched.data.iter_mut().enumerate() {
+                let dx = (i % labels.width) as f32 - x * width;
+                let dy = (i / labels.width) as f32 - y * height;
+                if dx.hypot(dy) < 4.0 + 10.0 * radius {
+                    *pixel = 1 + (5.0 * id) as u16;
+                }
+            }
+            let wrong = blotched.data.iter().zip(&labels.data).filter(|(a, b)| a != b).count();
+            if 10 * wrong >= labels.data.len() {
+                break;
+            }
+        }
+        blotched
+    }
+
+    #[test]
+    fn views_that_are_wrong_on_a_tenth_of_their_pixels_outvote_each_other() {
+        let scene = Scene::new(room()).unwrap();
+        let mut backend = CpuBackend::new(&scene);
+        let atlas = Atlas::new(&mut backend, &scene, 192, 128).unwrap();
+        let adjacency = Adjacency::new(&scene.mesh, &atlas);
+        let truth: Vec<u16> = atlas.points.iter().map(|p| class(p.position.into())).collect();
+        let places = [[0.7, 0.6], [3.3, 0.7], [0.8, 2.4], [3.2, 2.3], [2.0, 1.5], [1.3, 1.6]];
+        let views = places.map(|[x, y]| {
+            let camera = Camera { width: 256, height: 128, ..panorama(Vec3::new(x, y, 1.3), x) };
+            View::new(x.to_string(), camera, Split::Train, PathBuf::new())
+        });
+        let mut right = |wrong: fn(&Labels, usize) -> Labels, views: &[View]| {
+            let mut votes = Votes::default();
+            let mut seen = vec![false; truth.len()];
+            for (i, view) in views.iter().enumerate() {
+                let Camera { width, height, .. } = view.camera;
+                let hits = backend.primary(&view.camera).unwrap();
+                let shows = |(pixel, hit): (usize, &Hit)| {
+                    let direction = view.camera.direction((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5);
+                    class(view.camera.position() + direction * hit.t)
+                };
+                let labels = Labels::new(width, height, hits.iter().enumerate().map(shows).collect()).unwrap();
+                let labels = wrong(&labels, i);
+                let witnesses = witnesses(&mut backend, &scene.mesh, &atlas, view, None).unwrap();
+                seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
+                votes.add(&witnesses, |pixel| labels.data[pixel]);
+            }
+            let fused = spread(votes.labels(&atlas, &adjacency, atlas.typical_texel(&scene.mesh)), &adjacency, |_| 0);
+            let all = seen.iter().filter(|seen| **seen).count();
+            let right = (0..truth.len()).filter(|&t| seen[t] && fused[t] == truth[t]).count();
+            right as f64 / all as f64
+        };
+        let clean = right(|labels, _| labels.clone(), &views);
+        let (speckles, blotches, alone) =
+            (right(speckled, &views), right(blotched, &views), right(blotched, &views[..1]));
+        assert!(clean > 0.985, "{clean} of the texels are right when all pixels are");
+        assert!(speckles > 0.97, "{speckles} of the texels are right");
+        assert!(blotches > 0.97, "{blotches} of the texels are right");
+        // Negative control: nobody to outvote the one view.
+        assert!(alone < 0.95, "{alone} of the texels are right in one view alone");
+    }
+}

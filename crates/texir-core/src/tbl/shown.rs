@@ -1,0 +1,69 @@
+//! Which surface every pixel of a view shows.
+
+use glam::{Vec2, Vec3};
+
+use crate::backend::Backend;
+use crate::camera::{Camera, Projection};
+use crate::error::Result;
+use crate::mesh::Mesh;
+use crate::surface::{Hit, SurfacePoint};
+
+/// Two surfaces are one where their normals' cosine is at least this: a corner of a room is two.
+const SAME_NORMAL: f32 = 0.8;
+
+/// The primary hits of a view's pixels.
+pub(crate) struct Shown<'a> {
+    mesh: &'a Mesh,
+    camera: &'a Camera,
+    hits: Vec<Hit>,
+}
+
+impl<'a> Shown<'a> {
+    /// Traces the pixels' centres.
+    pub fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &'a Camera) -> Result<Self> {
+        Ok(Self { mesh, camera, hits: backend.primary(camera)? })
+    }
+
+    /// Whether a pixel shows the surface of a point at this distance from the camera, metres: it lies no further from the
+    /// point's plane than half a pixel is wide there.
+    pub fn shows(&self, pixel: usize, point: &SurfacePoint, distance: f32) -> bool {
+        let (hit, normal) = (self.hits[pixel], Vec3::from(point.normal));
+        let slack = 0.5 * distance / pixels_per_steradian(self.camera).sqrt();
+        hit.is_hit()
+            && (self.position(&hit) - Vec3::from(point.position)).dot(normal).abs() <= slack
+            && self.mesh.face_normal(hit.triangle).dot(normal).abs() >= SAME_NORMAL
+    }
+
+    /// World position of a hit on the mesh.
+    fn position(&self, hit: &Hit) -> Vec3 {
+        let [a, b, c] = self.mesh.corners(hit.triangle);
+        a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
+    }
+
+    /// Index of a pixel; panoramas wrap in x.
+    pub fn pixel(&self, x: i64, y: i64) -> Option<usize> {
+        let (w, h) = (self.camera.width as i64, self.camera.height as i64);
+        let x = if self.camera.projection == Projection::Equirectangular { x.rem_euclid(w) } else { x };
+        (x >= 0 && x < w && y >= 0 && y < h).then(|| (y * w + x) as usize)
+    }
+}
+
+/// Pixels per radian along the image's axes, near row `y`: the columns of a panorama crowd towards its poles (1/sin φ).
+pub(super) fn pixels_per_radian(camera: &Camera, y: f32) -> Vec2 {
+    match camera.projection {
+        Projection::Equirectangular => {
+            let sin = (std::f32::consts::PI * y / camera.height as f32).sin();
+            let (columns, rows) =
+                (camera.width as f32 / std::f32::consts::TAU, camera.height as f32 / std::f32::consts::PI);
+            Vec2::new(columns / sin.max(1.0 / camera.width as f32), rows)
+        }
+        Projection::Pinhole { fx, fy, .. } => Vec2::new(fx.abs(), fy.abs()),
+    }
+}
+
+/// Resolution of a view: pixels per steradian at a panorama's horizon, or on a pinhole's axis. (The crowded columns near
+/// a panorama's poles carry no more detail than its rows, so that sin φ does not enter.)
+pub(crate) fn pixels_per_steradian(camera: &Camera) -> f32 {
+    let middle = pixels_per_radian(camera, camera.height as f32 / 2.0);
+    middle.x * middle.y
+}
