@@ -109,6 +109,23 @@ impl Camera {
         Self { projection, width: self.width * factor, height: self.height * factor, ..*self }
     }
 
+    /// The same view with one pixel for `factor` along both axes; columns and rows that do not fill one are cut off. `None`
+    /// where a panorama would not stay whole.
+    pub fn reduced(&self, factor: usize) -> Option<Self> {
+        let (width, height) = (self.width / factor, self.height / factor);
+        let projection = match self.projection {
+            Projection::Equirectangular if (width * factor, height * factor) != (self.width, self.height) => {
+                return None;
+            }
+            Projection::Equirectangular => Projection::Equirectangular,
+            Projection::Pinhole { fx, fy, cx, cy } => {
+                let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|p| p / factor as f32);
+                Projection::Pinhole { fx, fy, cx, cy }
+            }
+        };
+        Some(Self { projection, width, height, ..*self })
+    }
+
     /// The angle between neighbouring pixels at the middle of the image, radians.
     pub fn pixel_angle(&self) -> f32 {
         match self.projection {

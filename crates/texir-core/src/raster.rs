@@ -66,6 +66,22 @@ impl<T> Raster<T> {
         Raster { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
     }
 }
+
+impl<T: Copy> Raster<T> {
+    /// An array with one value, made by `one`, of every square of `factor` × `factor`; what does not fill a square is cut off.
+    pub fn reduced(self, factor: usize, one: impl Fn(&[T]) -> T) -> Self {
+        if factor == 1 {
+            return self;
+        }
+        let (width, height) = (self.width / factor, self.height / factor);
+        let square = |i: usize| -> Vec<T> {
+            let (x, y) = (i % width * factor, i / width * factor);
+            (0..factor).flat_map(|row| &self.data[(y + row) * self.width + x..][..factor]).copied().collect()
+        };
+        Self { width, height, data: (0..width * height).map(|i| one(&square(i))).collect() }
+    }
+}
+
 /// Luminance of linear RGB (Rec. 709 primaries).
 pub fn luminance(rgb: &[f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]

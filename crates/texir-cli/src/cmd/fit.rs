@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::Capture;
@@ -33,6 +34,9 @@ pub struct Fit {
     /// How materials are found: the program's own way, or the paper's three stages [default: full]
     #[arg(long, value_name = "MODE")]
     mode: Option<Mode>,
+    /// What the fit may have in memory, such as 2GiB; views are read at a lower resolution to keep to it [default: 8GiB]
+    #[arg(long, value_name = "SIZE")]
+    max_memory: Option<ByteSize>,
     /// Leave out the evaluation and the report
     #[arg(long)]
     no_eval: bool,
@@ -61,6 +65,7 @@ impl Fit {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let mut config = session.config.clone();
         config.fit.mode = self.mode.map_or(config.fit.mode, fit::Mode::from);
+        config.fit.max_memory = self.max_memory.unwrap_or(config.fit.max_memory);
         let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
         let mut capture = self.capture.load(session)?;

@@ -12,7 +12,7 @@ use texir_core::camera::{Camera, Projection};
 use texir_core::capture::import::{self, Import};
 use texir_core::capture::{Capture, Split, View};
 use texir_core::cpu::CpuBackend;
-use texir_core::fit::{FitSettings, Mode};
+use texir_core::fit::{FitSettings, Mode, memory};
 use texir_core::image_io::is_encoded;
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
@@ -358,19 +358,12 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
         }
         Mode::Full => blocks * u64::from(settings.full.sampling(0, 0).rays()),
     };
-    // Seven textures of four channels (parameters, gradients, two Adam moments or solver vectors, TBL, irradiance,
-    // emission) with their mips; the sub-pixel footprints of every training pixel (about 12 taps of 8 bytes, with their
-    // transpose); the hierarchy. Full mode keeps a curve and its cost per pixel (256 bytes) for the footprints of one level.
-    let footprints = match settings.mode {
-        Mode::Paper => (settings.footprint_samples * settings.footprint_samples) as u64 * 12 * 16,
-        Mode::Full => 12 * 16 + 400,
-    };
-    let memory = texels * 7 * 16 * 4 / 3 + pixels * footprints + capture.mesh.triangles.len() as u64 * 300;
+    let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, capture.mesh.triangles.len());
     Estimate {
         bake_rays: (texels as f64 * atlas.covered) as u64
             * u64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32)),
         fit_rays,
-        memory,
+        memory: needed.min(settings.max_memory).0,
     }
 }
 

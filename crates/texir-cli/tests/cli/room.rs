@@ -161,6 +161,7 @@ impl Room {
                 split: if *name == "novel" { Split::Novel } else { Split::Train },
                 image: file("hdr", "exr"),
                 scale: [1.0; 3],
+                reduction: 1,
                 semantic: Some(file("semantic", "png")),
                 classes: None,
                 mask: Some(file("mask", "png")),

@@ -45,6 +45,8 @@ pub struct View {
     /// What the image's radiance is multiplied with, per channel: 1, unless exposures were solved for
     /// ([`crate::tbl::exposure`]).
     pub scale: [f32; 3],
+    /// Pixels of the files along the edge of a pixel of the view: 1, unless it was [reduced](View::reduced).
+    pub reduction: usize,
     /// Semantic class per pixel; 0 is "unknown".
     pub semantic: Option<PathBuf>,
     /// What the classes are called and how they are coloured, where the capture says so.

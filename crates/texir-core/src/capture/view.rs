@@ -19,6 +19,7 @@ impl View {
             split,
             image,
             scale: [1.0; 3],
+            reduction: 1,
             semantic,
             classes: None,
             mask,
@@ -29,9 +30,17 @@ impl View {
         }
     }
 
+    /// The view with pixels `factor` times as wide, each the mean of those it covers; labels are those of most of them, masks
+    /// keep what all of them keep, and columns and rows that do not fill a pixel are cut off. `None` where that would cut a
+    /// panorama, which must stay whole.
+    pub fn reduced(&self, factor: usize) -> Option<Self> {
+        let camera = self.camera.reduced(factor)?;
+        Some(Self { camera, reduction: self.reduction * factor, ..self.clone() })
+    }
+
     /// The radiance, linear, times [`View::scale`]. Channels that no radiance can have are set to 0, and a warning says how many.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
-        let mut image = self.sized(&self.image, read_rgb(&self.image)?)?;
+        let mut image = self.sized(&self.image, read_rgb(&self.image)?, mean)?;
         let found = sanitise_radiance(&mut image);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", self.image.display()));
@@ -44,7 +53,7 @@ impl View {
 
     /// Semantic class per pixel; 0 is "unknown".
     pub fn load_semantic(&self) -> Result<Option<Labels>> {
-        let sized = |(path, labels): (&PathBuf, Labels)| self.sized(path, labels);
+        let sized = |(path, labels): (&PathBuf, Labels)| self.sized(path, labels, most_frequent);
         self.semantic.as_ref().zip(self.read_semantic()?).map(sized).transpose()
     }
 
@@ -59,22 +68,22 @@ impl View {
 
     /// Pixels to use.
     pub fn load_mask(&self) -> Result<Option<Mask>> {
-        self.load(self.mask.as_deref(), read_mask)
+        self.load(self.mask.as_deref(), read_mask, |kept| kept.iter().all(|kept| *kept))
     }
 
     /// Room id per pixel; 0 is "unknown".
     pub fn load_room(&self) -> Result<Option<Labels>> {
-        self.load(self.room.as_deref(), read_labels)
+        self.load(self.room.as_deref(), read_labels, most_frequent)
     }
 
     /// Ground-truth albedo, linear.
     pub fn load_albedo(&self) -> Result<Option<Rgb>> {
-        self.load(self.albedo.as_deref(), read_rgb)
+        self.load(self.albedo.as_deref(), read_rgb, mean)
     }
 
     /// Ground-truth perceptual roughness.
     pub fn load_roughness(&self) -> Result<Option<Gray>> {
-        self.load(self.roughness.as_deref(), read_gray)
+        self.load(self.roughness.as_deref(), read_gray, |values| values.iter().sum::<f32>() / values.len() as f32)
     }
 
     /// Every file that belongs to the view, with the field of `transforms.json` that names it.
@@ -107,22 +116,24 @@ impl View {
         Ok(())
     }
 
-    fn load<'a, T>(
+    fn load<'a, T: Copy>(
         &self,
         path: Option<&'a Path>,
         read: impl Fn(&'a Path) -> Result<Raster<T>>,
+        one: impl Fn(&[T]) -> T,
     ) -> Result<Option<Raster<T>>> {
-        path.map(|path| self.sized(path, read(path)?)).transpose()
+        path.map(|path| self.sized(path, read(path)?, one)).transpose()
     }
 
-    fn sized<T>(&self, path: &Path, raster: Raster<T>) -> Result<Raster<T>> {
+    /// What a file holds, at the size of the camera; `one` makes one pixel of several.
+    fn sized<T: Copy>(&self, path: &Path, raster: Raster<T>, one: impl Fn(&[T]) -> T) -> Result<Raster<T>> {
         self.check_size("image", path, raster.size())?;
-        Ok(raster)
+        Ok(raster.reduced(self.reduction, one))
     }
 
     fn check_size(&self, field: &str, path: &Path, (width, height): (usize, usize)) -> Result<()> {
         let camera = &self.camera;
-        if (width, height) == (camera.width, camera.height) {
+        if (width / self.reduction, height / self.reduction) == (camera.width, camera.height) {
             return Ok(());
         }
         Err(Error::file(
@@ -134,4 +145,14 @@ impl View {
             ),
         ))
     }
+}
+
+fn mean(pixels: &[[f32; 3]]) -> [f32; 3] {
+    std::array::from_fn(|c| pixels.iter().map(|pixel| pixel[c]).sum::<f32>() / pixels.len() as f32)
+}
+
+/// The label that most pixels have; the lowest of several.
+fn most_frequent(labels: &[u16]) -> u16 {
+    let count = |label: u16| labels.iter().filter(|l| **l == label).count();
+    labels.iter().copied().max_by_key(|&label| (count(label), std::cmp::Reverse(label))).unwrap_or(0)
 }

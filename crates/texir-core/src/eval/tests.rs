@@ -72,6 +72,7 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
             split,
             image: file("image.exr"),
             scale: [1.0; 3],
+            reduction: 1,
             semantic: None,
             classes: None,
             mask: Some(file("mask.png")),

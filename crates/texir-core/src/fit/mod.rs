@@ -8,6 +8,7 @@ pub mod emitters;
 pub mod full;
 #[cfg(test)]
 mod lit_square;
+pub mod memory;
 pub mod paper;
 pub mod settings;
 
@@ -156,6 +157,7 @@ pub fn fit(
         seed: settings.seed,
         checkpoints,
     };
+    let training = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
     let materials = match settings.mode {
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
         Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,

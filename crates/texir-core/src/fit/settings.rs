@@ -1,5 +1,6 @@
 //! Every weight and switch of the fit by name, as one TOML file.
 
+use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 
 use crate::backend::RoughnessGradient;
@@ -36,6 +37,8 @@ pub struct FitSettings {
     /// Rays per texel of the irradiance bake, half of them to the light sources; 0 lets them follow the texels' area, see
     /// [`FitSettings::irradiance_rays`].
     pub irradiance_samples: u32,
+    /// What the fit may have in memory, such as "2 GiB": views are read at a lower resolution to keep to it.
+    pub max_memory: ByteSize,
     /// Specular samples per pixel and step.
     pub specular_samples: u32,
     /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect: L > ratio · E/π.
@@ -268,6 +271,7 @@ impl Default for FitSettings {
             mode: Mode::default(),
             atlas_size: 0,
             irradiance_samples: 0,
+            max_memory: ByteSize::gib(8),
             specular_samples: 16,
             emitter_ratio: 3.0,
             gradient: RoughnessGradient::Exact,

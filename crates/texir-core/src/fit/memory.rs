@@ -1,0 +1,142 @@
+//! What a fit has in memory, and how the resolution of the views follows from what it may have.
+
+use bytesize::ByteSize;
+
+use crate::atlas::Atlas;
+use crate::capture::View;
+use crate::error::{Error, Result};
+use crate::fit::settings::{FitSettings, Mode};
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+
+/// Pixels of all views together per valid texel, at most: finer images know nothing more about the texels.
+const PIXELS_PER_TEXEL: u64 = 4;
+/// Bytes of the hierarchy and the mesh, per triangle.
+const TRIANGLE: u64 = 300;
+/// Reductions that are tried for a view, beyond what is asked, until one leaves a panorama whole.
+const TRIES: usize = 8;
+
+/// Bytes that a texel of the atlas (valid or not) and a pixel take, as measured.
+fn bytes_of(settings: &FitSettings) -> (u64, u64) {
+    match settings.mode {
+        // Four channels of parameters, gradients, two moments, lighting and irradiance, with mips; footprints of about 12
+        // taps per sub-pixel, both ways.
+        Mode::Paper => (150, (settings.footprint_samples * settings.footprint_samples) as u64 * 192),
+        // Votes, solver vectors, lighting; footprints both ways, costs by roughness, a share of a curve, solver vectors.
+        Mode::Full => (250, 500),
+    }
+}
+
+/// Bytes that a fit needs: an estimate, good to a third.
+pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u64, triangles: usize) -> ByteSize {
+    let (texel, pixel) = bytes_of(settings);
+    ByteSize((width * height) as u64 * texel + pixels * pixel + triangles as u64 * TRIANGLE)
+}
+
+/// The views as the fit reads them: reduced alike so far that they have at most four pixels per texel, and that the fit
+/// keeps to `settings.max_memory`. Errors when the textures alone exceed it.
+pub fn affordable(
+    views: &[View],
+    (mesh, atlas): (&Mesh, &Atlas),
+    settings: &FitSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<View>> {
+    let (size, limit) = ((atlas.width, atlas.height), settings.max_memory);
+    let textures = needed(settings, size, 0, mesh.triangles.len());
+    let left = limit.0.checked_sub(textures.0).ok_or_else(|| {
+        Error::invalid(format!(
+            "max_memory is {limit}, but textures of {}×{} texels and the mesh alone need about {textures}: raise it, or \
+             lower atlas_size",
+            size.0, size.1
+        ))
+    })?;
+    let pixels: u64 = views.iter().map(|view| view.camera.pixels() as u64).sum();
+    let useful = PIXELS_PER_TEXEL * atlas.texels.len() as u64;
+    let allowed = (left / bytes_of(settings).1).min(useful);
+    let factor = (pixels as f64 / allowed.max(1) as f64).sqrt().ceil().max(1.0) as usize;
+    if factor == 1 {
+        return Ok(views.to_vec());
+    }
+    let why = if allowed < useful { format!("max_memory is {limit}") } else { "the atlas holds no more detail".into() };
+    progress.warn(&format!(
+        "the views are read at 1/{factor} of their width and height: {:.1} M pixels of {:.1} M, as {why}",
+        pixels as f64 / (factor * factor) as f64 / 1e6,
+        pixels as f64 / 1e6
+    ));
+    let reduced = |view: &View| {
+        (factor..factor + TRIES).find_map(|factor| view.reduced(factor)).ok_or_else(|| {
+            let (width, height) = (view.camera.width, view.camera.height);
+            Error::file(
+                &view.image,
+                format!(
+                    "a panorama of {width}×{height} pixels must be reduced {factor} times, but no number near {factor} \
+                     divides both: resize the images so that one does, or raise max_memory or atlas_size"
+                ),
+            )
+        })
+    };
+    views.iter().map(reduced).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Mat4;
+
+    use super::*;
+    use crate::camera::{Camera, Projection};
+    use crate::fit::lit_square::LitSquare;
+    use crate::progress::Silent;
+    use crate::raster::Rgb;
+
+    /// A texture that differs from texel to texel.
+    fn texture() -> Rgb {
+        let side = crate::fit::lit_square::SIDE;
+        Rgb { width: side, height: side, data: (0..side * side).map(|i| [1.0 + i as f32, 2.0, 3.0]).collect() }
+    }
+
+    #[test]
+    fn views_are_reduced_to_what_the_atlas_holds_and_are_means() {
+        let square = LitSquare::new();
+        let place = (&square.scene.mesh, &square.atlas);
+        let settings = FitSettings::default();
+        // 64 texels: 256 pixels are useful. Five views of 8 × 4 are fewer, five of 32 × 16 are ten times as many.
+        let few = square.views(&texture(), (8, 4));
+        let same = affordable(&few, place, &settings, &Silent).unwrap();
+        assert!(same.iter().all(|v| v.reduction == 1 && v.camera.width == 8));
+        let many = square.views(&texture(), (32, 16));
+        let reduced = affordable(&many, place, &settings, &Silent).unwrap();
+        assert!(reduced.iter().all(|v| v.reduction == 4 && (v.camera.width, v.camera.height) == (8, 4)));
+        let image = reduced[0].load_image(&Silent).unwrap();
+        let whole = many[0].load_image(&Silent).unwrap();
+        let mean: f32 = (0..16).map(|i| whole.at(8 + i % 4, 12 + i / 4)[0]).sum::<f32>() / 16.0;
+        assert!(mean > 0.0 && (image.at(2, 3)[0] - mean).abs() < 1e-5 * mean, "{:?} for {mean}", image.at(2, 3));
+        // Pixels look where the pixels did that they were made of.
+        let direction = reduced[0].camera.direction(2.5, 3.5);
+        assert!((direction - many[0].camera.direction(10.0, 14.0)).length() < 1e-6);
+    }
+
+    #[test]
+    fn memory_is_kept_to_or_refused() {
+        let square = LitSquare::new();
+        let place = (&square.scene.mesh, &square.atlas);
+        let views = square.views(&texture(), (8, 4));
+        let at = |max_memory| FitSettings { max_memory, ..FitSettings::default() };
+        let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, 2);
+        assert!(affordable(&views, place, &at(all), &Silent).unwrap().iter().all(|v| v.reduction == 1));
+        let most = affordable(&views, place, &at(ByteSize(all.0 - 1)), &Silent).unwrap();
+        assert!(most.iter().all(|v| v.reduction == 2));
+        let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
+        assert!(none.contains("max_memory") && none.contains("atlas_size"), "{none}");
+    }
+
+    #[test]
+    fn panoramas_stay_whole_and_photos_lose_a_rim() {
+        let camera = |projection| Camera { projection, width: 10, height: 5, world_from_camera: Mat4::IDENTITY };
+        assert_eq!(camera(Projection::Equirectangular).reduced(2), None);
+        assert_eq!(camera(Projection::Equirectangular).reduced(5).unwrap().width, 2);
+        let photo = camera(Projection::Pinhole { fx: 8.0, fy: 8.0, cx: 5.0, cy: 2.5 });
+        let reduced = photo.reduced(2).unwrap();
+        assert_eq!((reduced.width, reduced.height), (5, 2));
+        assert!((reduced.direction(1.0, 1.0) - photo.direction(2.0, 2.0)).length() < 1e-6);
+    }
+}
