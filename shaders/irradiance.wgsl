@@ -27,9 +27,8 @@ struct IrradianceParams {
     cosine_samples: u32,
     light_samples: u32,
     seed: u32,
-    // 2³²/n_c and 2³²/n_l: the steps of the lattices.
-    cosine_step: u32,
-    light_step: u32,
+    // Which stretch of the sequences: sample 0 is their point part · n_c, or part · n_l.
+    part: u32,
 }
 
 // What was found at a point.
@@ -104,7 +103,7 @@ fn gather_cosine(
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(fibonacci2(s, params.cosine_step, offset));
+        let local = cosine_direction(lattice2(params.part * params.cosine_samples + s, offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z, own.table);
     }
@@ -130,7 +129,7 @@ fn gather_lights(
     let offset = vec2u(hash2(own.seed, 1u), hash2(own.seed, 2u));
     var sum = vec3f(0.0);
     for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let light = light_point(own.table, fibonacci2(s, params.light_step, offset));
+        let light = light_point(own.table, lattice2(params.part * params.light_samples + s, offset));
         let direction = normalize(light.position - own.point.position);
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.

@@ -44,9 +44,9 @@ fn to_unit(x: u32) -> f32 {
     return f32(x >> 8u) / 16777216.0;
 }
 
-// Point `index` of the Fibonacci lattice of 2³²/step points, shifted by `offset` (32-bit fractions), in [0, 1)².
-fn fibonacci2(index: u32, step: u32, offset: vec2u) -> vec2f {
-    let x = index * vec2u(step, 0x9e3779b9u) + offset;
+// Point `index` of the lattice sequence, shifted by `offset` (32-bit fractions), in [0, 1)².
+fn lattice2(index: u32, offset: vec2u) -> vec2f {
+    let x = reverseBits(index) * vec2u(1u, 38695u) + offset;
     return vec2f(to_unit(x.x), to_unit(x.y));
 }
 

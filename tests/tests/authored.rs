@@ -8,6 +8,7 @@ use serde_json::json;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Model, Solved, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
+use texir_core::bake::Quality;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::cosine_direction;
@@ -25,8 +26,9 @@ use texir_tests::compare::Tolerance;
 use texir_tests::gltf::Document;
 use texir_tests::{gpu, scenes};
 
-const BOUNCES: Bounces =
-    Bounces { gather: Gather { cosine: 32, light: 32, seed: 3 }, denoise: true, tolerance: 1e-3, most: 64 };
+const QUALITY: Quality =
+    Quality { gather: Gather { cosine: 32, light: 32, seed: 3, part: 0 }, error: None, denoise: true };
+const BOUNCES: Bounces = Bounces { quality: QUALITY, tolerance: 1e-3, most: 64 };
 
 fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Solved {
     irradiance(backend, scene, atlas, surfaces, bounces, &Checkpoints::none(), &Silent).unwrap()
@@ -217,7 +219,8 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
     let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
     // Not denoised: that costs up to 1 % here, the solver's own difference is a tenth of it.
-    let bounces = Bounces { gather: Gather { cosine: 48, light: 48, seed: 1 }, denoise: false, ..BOUNCES };
+    let gather = Gather { cosine: 48, light: 48, seed: 1, part: 0 };
+    let bounces = Bounces { quality: Quality { gather, denoise: false, ..QUALITY }, ..BOUNCES };
     let solved = solve(&mut backend, &scene, &atlas, &surfaces, &bounces);
 
     // Two triangles per quad, in the order of the document: floor, ceiling, back, red, green, lamp, boxes.

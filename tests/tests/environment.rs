@@ -60,7 +60,7 @@ fn an_open_plane_under_a_constant_sky_receives_pi_l() {
     for mut backend in backends {
         backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
         backend.set_environment(Some(&Environment::constant(sky).unwrap())).unwrap();
-        let gather = Gather { cosine: 37, light: 8, seed: 1 };
+        let gather = Gather { cosine: 37, light: 8, seed: 1, part: 0 };
         let lit = backend.irradiance(&points, gather, &Silent).unwrap();
         rounding.check(&backend.name(), &lanes3(lit.iter().map(|g| &g.irradiance)), &expected);
         assert!(lit.iter().all(|g| g.back_faces == 0.0));
@@ -85,7 +85,7 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     assert!(!lights.is_empty());
     backend.set_tbl(&radiance, &lights).unwrap();
     backend.set_environment(Some(&sky)).unwrap();
-    let gather = Gather { cosine: 64, light: 32, seed: 5 };
+    let gather = Gather { cosine: 64, light: 32, seed: 5, part: 0 };
     let got = backend.irradiance(&points, gather, &Silent).unwrap();
     let exact = Exhaustive(&scene.mesh);
     let twin = |environment| -> Vec<f64> {

@@ -34,8 +34,11 @@ pub struct Gather {
     pub cosine: u32,
     /// Rays per point to the [`Lights`]; 0 leaves them to the cosine samples.
     pub light: u32,
-    /// Seed of the run; a point draws from the sequences scrambled by `hash(seed, sequence)`.
+    /// Seed of the run; a point draws from the sequences shifted by `hash(seed, sequence)`.
     pub seed: u32,
+    /// Which stretch of the sequences: 0 the first `cosine` and `light` points, 1 as many after them, and so on. The mean of
+    /// gathers 0 and 1 is the gather of twice as many rays.
+    pub part: u32,
 }
 
 /// What the gather found at one point.

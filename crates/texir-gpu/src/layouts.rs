@@ -71,16 +71,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         (
             "irradiance",
             "IrradianceParams",
-            host!(IrradianceParams {
-                count,
-                first_sample,
-                end_sample,
-                cosine_samples,
-                light_samples,
-                seed,
-                cosine_step,
-                light_step
-            }),
+            host!(IrradianceParams { count, first_sample, end_sample, cosine_samples, light_samples, seed, part }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),
         (

@@ -8,9 +8,10 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::backend::Gather;
-use texir_core::bake::{self, Buried};
+use texir_core::bake::{self, Baked, Buried, Quality};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
+use texir_core::image_io::write_gray;
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
@@ -36,9 +37,15 @@ pub struct Bake {
     /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
     #[arg(long, value_name = "N")]
     size: Option<usize>,
-    /// Rays per texel: half of them cosine-distributed, half towards the light sources
+    /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources
     #[arg(long, value_name = "N", default_value_t = 1024)]
     spp: u32,
+    /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
+    #[arg(long, value_name = "SHARE")]
+    error: Option<f32>,
+    /// Write the standard error of every texel's luminance, before denoising, as NAME_stderr.exr beside the map
+    #[arg(long)]
+    stderr: bool,
     /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them
     #[arg(long)]
     cosine_only: bool,
@@ -89,6 +96,7 @@ impl Bake {
         if self.size == Some(0) || self.spp == 0 {
             return Err(Failure::new("--size and --spp must be at least 1"));
         }
+        let quality = self.quality(session)?;
         lightmap::check_extension(&self.output)?;
         if self.is_authored() {
             return authored::run(self, session);
@@ -107,24 +115,46 @@ impl Bake {
         let shining = Atlas::new(backend.as_mut(), &scene, radiance.width, radiance.height)?;
         let lights = Lights::find(&scene, &shining, &radiance);
         backend.set_tbl(&radiance, &lights)?;
-        let light = if self.cosine_only { 0 } else { self.spp / 2 };
-        let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed };
-        let denoise = !self.no_denoise && gather.cosine >= 2;
-        let settings = (backend.name(), width, height, gather, denoise);
+        let settings = (backend.name(), width, height, quality);
         let identity = bake::identity(&scene.mesh, &radiance, settings);
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
-        let baked = if denoise {
-            bake::denoised(backend.as_mut(), &scene.mesh, &atlas, gather, &checkpoints, session.console)?
-        } else {
-            bake::irradiance(backend.as_mut(), &atlas, gather, &checkpoints, session.console)?
-        };
+        let baked = bake::bake(backend.as_mut(), &scene.mesh, &atlas, &quality, &checkpoints, session.console)?;
         lightmap::write_lightmap(&self.output, &self.profile().lightmap(&baked.map(&atlas, self.buried())))?;
+        self.write_standard_error(&baked, &atlas)?;
         checkpoints.finish();
         let texels = atlas.texels.len();
-        let rays = texels as u64 * u64::from(self.spp);
+        let rays = baked.rays;
         let buried = baked.buried.iter().filter(|inside| **inside).count();
         let summary = Summary { output: self.output.clone(), width, height, texels, buried, rays };
-        session.print(&summary, || format!("{}: {width} × {height}, {texels} texels", summary.output.display()))
+        session.print(&summary, || {
+            let mean = rays as f64 / texels as f64;
+            format!("{}: {width} × {height}, {texels} texels, {mean:.0} rays each", summary.output.display())
+        })
+    }
+
+    /// How many rays, and what becomes of their noise.
+    fn quality(&self, session: &Session<'_>) -> Result<Quality, Failure> {
+        let light = if self.cosine_only { 0 } else { self.spp / 2 };
+        let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed, part: 0 };
+        if self.error.is_some_and(|error| !(error > 0.0 && error.is_finite())) {
+            return Err(Failure::new("--error must be a number above 0: 0.02 is 2 % of a texel's luminance"));
+        }
+        let halves = gather.cosine >= 2;
+        if (self.error.is_some() || self.stderr) && !halves {
+            return Err(Failure::new(format!("--spp {} is too few to tell an error from", self.spp))
+                .help("give --spp at least 4, or leave --error and --stderr out"));
+        }
+        let error = self.error.or(self.stderr.then_some(0.0));
+        Ok(Quality { gather, error, denoise: !self.no_denoise && halves })
+    }
+
+    /// Writes what `--stderr` asks for: in the unit of the map.
+    fn write_standard_error(&self, baked: &Baked, atlas: &Atlas) -> Result<(), Failure> {
+        let Some(errors) = baked.standard_error.as_ref().filter(|_| self.stderr) else { return Ok(()) };
+        let scaled: Vec<f32> = errors.iter().map(|e| e * self.profile().scale()).collect();
+        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+        write_gray(self.output.with_file_name(format!("{stem}_stderr.exr")), &atlas.scatter(&scaled, 0.0))?;
+        Ok(())
     }
 
     /// Where the results so far lie while the bake runs: beside the output.

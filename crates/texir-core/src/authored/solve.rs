@@ -6,7 +6,7 @@ use std::f32::consts::PI;
 use super::Surfaces;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
-use crate::bake::{self, Baked, PADDING};
+use crate::bake::{self, Baked, PADDING, Quality};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
@@ -22,10 +22,8 @@ const FEWEST_RAYS: f64 = 1.0 / 16.0;
 /// When to stop bouncing, and how to gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounces {
-    /// Rays of the first gather; later ones take fewer, as they bring less light.
-    pub gather: Gather,
-    /// Removes most of the noise of every gather ([`bake::denoised`]).
-    pub denoise: bool,
+    /// That of the first gather; later ones take fewer rays, as they bring less light.
+    pub quality: Quality,
     /// Bounces end when what the further ones would add is below this share of all light.
     pub tolerance: f32,
     /// Bounces end here even so; 0 leaves direct light alone.
@@ -41,8 +39,6 @@ pub struct Solved {
     pub series: Vec<f64>,
     /// Estimated share of all light that the bounces left out would add.
     pub remainder: f64,
-    /// Rays traced.
-    pub rays: u64,
 }
 
 /// Solves the light of a scene at the texels of `atlas`, whose size the maps of `surfaces` have.
@@ -63,7 +59,8 @@ pub fn irradiance(
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
     let punctual = solver.punctual(surfaces)?;
-    let Baked { irradiance: mut total, buried } = solver.gather(&surfaces.emission, 0, 1.0)?;
+    let Baked { irradiance: mut total, buried, standard_error, .. } = solver.gather(&surfaces.emission, 0, 1.0)?;
+    let mut standard_error = standard_error;
     add(&mut total, &punctual);
     // The sky lights once; what surfaces make of it bounces.
     solver.backend.set_environment(None)?;
@@ -77,12 +74,17 @@ pub fn irradiance(
         }
         let share = series.last().copied().unwrap_or(0.0) / series[0];
         let reflected = reflected(&surfaces.albedo, &atlas.scatter_padded(&last, &visible(&buried), [0.0; 3], PADDING));
-        last = solver.gather(&reflected, k, share)?.irradiance;
+        let bounce = solver.gather(&reflected, k, share)?;
+        last = bounce.irradiance;
         add(&mut total, &last);
+        for (sum, error) in standard_error.iter_mut().flatten().zip(bounce.standard_error.iter().flatten()) {
+            *sum = sum.hypot(*error);
+        }
         series.push(mean(&last, &buried));
         remainder = remainder_of(&series);
     }
-    Ok(Solved { baked: Baked { irradiance: total, buried }, series, remainder, rays: solver.rays })
+    let baked = Baked { irradiance: total, buried, standard_error, rays: solver.rays };
+    Ok(Solved { baked, series, remainder })
 }
 
 struct Solver<'a> {
@@ -108,17 +110,18 @@ impl Solver<'_> {
 
     /// E from surfaces of radiance `tbl` with a `share` of the rays; `bounce` draws other samples.
     fn gather(&mut self, tbl: &Rgb, bounce: u32, share: f64) -> Result<Baked> {
-        let scaled = |n: u32| (f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32;
-        let Gather { cosine, light, seed } = self.bounces.gather;
-        let gather = Gather { cosine: scaled(cosine), light: scaled(light), seed: hash2(seed, bounce) };
-        self.rays += self.atlas.points.len() as u64 * u64::from(gather.cosine + gather.light);
+        // Two, of which errors are told, unless it was one from the start.
+        let scaled = |n: u32| ((f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32).max(n.min(2));
+        let Quality { gather: Gather { cosine, light, seed, part }, error, denoise } = self.bounces.quality;
+        let gather = Gather { cosine: scaled(cosine), light: scaled(light), seed: hash2(seed, bounce), part };
+        // Variance in proportion to the light that a bounce brings: that of the sum is then at most `error` squared.
+        let error = error.map(|error| error / share.clamp(f64::MIN_POSITIVE, 1.0).sqrt() as f32);
+        let quality = Quality { gather, error, denoise };
         self.backend.set_tbl(tbl, &Lights::find(self.scene, self.atlas, tbl))?;
         let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
-        if self.bounces.denoise && gather.cosine > 1 {
-            bake::denoised(self.backend, &self.scene.mesh, self.atlas, gather, &checkpoints, self.progress)
-        } else {
-            bake::irradiance(self.backend, self.atlas, gather, &checkpoints, self.progress)
-        }
+        let baked = bake::bake(self.backend, &self.scene.mesh, self.atlas, &quality, &checkpoints, self.progress)?;
+        self.rays += baked.rays;
+        Ok(baked)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 
+mod estimate;
+
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use bytemuck::cast_slice;
@@ -8,12 +10,12 @@ use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::denoise::denoise;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
-use crate::rng::hash;
 use crate::surface::SurfacePoint;
+use estimate::Estimate;
 
 /// Rings of padding around the charts of a baked map.
 pub const PADDING: usize = 4;
@@ -31,6 +33,11 @@ pub struct Baked {
     pub irradiance: Vec<[f32; 3]>,
     /// Texels inside other geometry, as a floor under a cupboard.
     pub buried: Vec<bool>,
+    /// Standard error of the luminance of E before denoising, in the unit of E: estimated from a texel's neighbours. Where
+    /// [`Quality::error`] asked for it.
+    pub standard_error: Option<Vec<f32>>,
+    /// Rays traced.
+    pub rays: u64,
 }
 
 /// What a map holds at texels inside other geometry.
@@ -51,8 +58,52 @@ impl Baked {
     }
 }
 
-/// Bakes the irradiance of every valid texel from the TBL that the backend was given with [`Backend::set_tbl`]; unbiased.
+/// How a map is baked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quality {
+    /// Rays of a texel, at most.
+    pub gather: Gather,
+    /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes all.
+    pub error: Option<f32>,
+    /// Removes most of the noise: see [`denoise`].
+    pub denoise: bool,
+}
+
+impl Hash for Quality {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        (self.gather, self.error.map(f32::to_bits), self.denoise).hash(state);
+    }
+}
+
+/// Bakes the irradiance of every valid texel from the TBL that the backend was given with [`Backend::set_tbl`].
 /// With `checkpoints` of the same [`identity`], a bake that was interrupted goes on where it was, to the same bits.
+pub fn bake(
+    backend: &mut dyn Backend,
+    mesh: &Mesh,
+    atlas: &Atlas,
+    quality: &Quality,
+    checkpoints: &Checkpoints,
+    progress: &dyn Progress,
+) -> Result<Baked> {
+    if quality.error.is_none() && !quality.denoise {
+        return irradiance(backend, atlas, quality.gather, checkpoints, progress);
+    }
+    let texel = atlas.typical_texel(mesh);
+    let points = &atlas.points;
+    let estimate = Estimate::sample(backend, points, texel, quality.gather, quality.error, checkpoints, progress)?;
+    let [a, b] = &estimate.halves;
+    let buried: Vec<bool> = a.iter().zip(b).map(|(a, b)| (a.back_faces + b.back_faces) / 2.0 >= BURIED).collect();
+    let irradiance = if quality.denoise {
+        let halves = [a, b].map(|half| half.iter().map(|g| g.irradiance).collect());
+        denoise(points, &halves, &buried, texel)
+    } else {
+        (0..points.len()).map(|i| estimate.mean(i).to_array()).collect()
+    };
+    let standard_error = quality.error.map(|_| estimate.standard_errors(points, texel));
+    Ok(Baked { irradiance, buried, standard_error, rays: estimate.rays() })
+}
+
+/// [`bake`] of a fixed number of rays, as they come: unbiased.
 pub fn irradiance(
     backend: &mut dyn Backend,
     atlas: &Atlas,
@@ -60,16 +111,19 @@ pub fn irradiance(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    progress.start("irradiance", rays(atlas, gather), "rays");
+    let rays = atlas.points.len() as u64 * rays_of(gather);
+    progress.start("irradiance", rays, "rays");
     let gathered = in_tiles(backend, &atlas.points, gather, TILE_RAYS, checkpoints, progress)?;
     progress.finish();
     Ok(Baked {
         irradiance: gathered.iter().map(|g| g.irradiance).collect(),
-        buried: gathered.iter().map(buried).collect(),
+        buried: gathered.iter().map(|g| g.back_faces >= BURIED).collect(),
+        standard_error: None,
+        rays,
     })
 }
 
-/// Bakes as [`irradiance`] does, with the same number of rays, and removes most of the noise: see [`denoise`].
+/// [`bake`] of a fixed number of rays, with most of the noise removed.
 pub fn denoised(
     backend: &mut dyn Backend,
     mesh: &Mesh,
@@ -78,20 +132,7 @@ pub fn denoised(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    if gather.cosine < 2 {
-        return Err(Error::invalid("denoising compares two halves of the rays: at least 2 must be cosine-distributed"));
-    }
-    progress.start("irradiance", rays(atlas, gather), "rays");
-    let second = Gather { cosine: gather.cosine / 2, light: gather.light / 2, seed: hash(gather.seed) };
-    let first = Gather { cosine: gather.cosine - second.cosine, light: gather.light - second.light, ..gather };
-    let mut half =
-        |name, gather| in_tiles(backend, &atlas.points, gather, TILE_RAYS, &checkpoints.within(name), progress);
-    let [a, b] = [half("first", first)?, half("second", second)?];
-    progress.finish();
-    let buried: Vec<bool> = a.iter().map(buried).collect();
-    let halves = [a, b].map(|half| half.iter().map(|g| g.irradiance).collect());
-    let irradiance = denoise(&atlas.points, &halves, &buried, atlas.typical_texel(mesh));
-    Ok(Baked { irradiance, buried })
+    bake(backend, mesh, atlas, &Quality { gather, error: None, denoise: true }, checkpoints, progress)
 }
 
 /// What a bake depends on: as long as none of it changes, its [`Checkpoints`] hold.
@@ -113,7 +154,7 @@ fn in_tiles(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Vec<Gathered>> {
-    let rays = (gather.cosine + gather.light) as usize;
+    let rays = rays_of(gather) as usize;
     let mut all = Vec::with_capacity(points.len());
     for (number, tile) in points.chunks((tile_rays / rays.max(1)).max(1)).enumerate() {
         let mut known = true;
@@ -128,12 +169,9 @@ fn in_tiles(
     Ok(all)
 }
 
-fn rays(atlas: &Atlas, gather: Gather) -> u64 {
-    atlas.points.len() as u64 * u64::from(gather.cosine + gather.light)
-}
-
-fn buried(gathered: &Gathered) -> bool {
-    gathered.back_faces >= BURIED
+/// Rays of one point.
+fn rays_of(gather: Gather) -> u64 {
+    u64::from(gather.cosine) + u64::from(gather.light)
 }
 
 #[cfg(test)]

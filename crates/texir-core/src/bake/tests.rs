@@ -6,17 +6,18 @@ use glam::{Vec2, Vec3};
 
 use super::*;
 use crate::cpu::CpuBackend;
+use crate::error::Error;
 use crate::lights::Lights;
 use crate::progress::Silent;
 use crate::scene::Scene;
 
 const SIDE: usize = 16;
-const GATHER: Gather = Gather { cosine: 8, light: 0, seed: 3 };
+const GATHER: Gather = Gather { cosine: 8, light: 0, seed: 3, part: 0 };
 /// Ten points a tile.
 const TILE: usize = 80;
 
 /// A floor, and a ceiling that shines unevenly.
-fn two_sheets() -> (Scene, Rgb) {
+pub(super) fn two_sheets() -> (Scene, Rgb) {
     let mut mesh = Mesh::default();
     for (height, normal, left) in [(0.0, Vec3::Z, 0.05), (1.0, -Vec3::Z, 0.55)] {
         let base = mesh.positions.len() as u32;
@@ -54,7 +55,7 @@ impl Progress for Stop {
     }
 }
 
-fn lit<'a>(scene: &'a Scene, radiance: &Rgb) -> CpuBackend<'a> {
+pub(super) fn lit<'a>(scene: &'a Scene, radiance: &Rgb) -> CpuBackend<'a> {
     let mut backend = CpuBackend::new(scene);
     backend.set_tbl(radiance, &Lights::none(&scene.mesh)).unwrap();
     backend
@@ -125,5 +126,27 @@ fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
         bake(&radiance, gather, &stop).unwrap();
         let warnings = stop.warnings.into_inner().unwrap();
         assert!(warnings.len() == 1 && warnings[0].contains("map.exr.partial"), "{warnings:?}");
+    }
+}
+
+#[test]
+fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
+    let (scene, radiance) = two_sheets();
+    let mut backend = lit(&scene, &radiance);
+    let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.exr.partial");
+    let quality = Quality { gather: Gather { cosine: 256, ..GATHER }, error: Some(0.05), denoise: true };
+    let mut run =
+        |kept: &Checkpoints, progress: &dyn Progress| bake(&mut backend, &scene.mesh, &atlas, &quality, kept, progress);
+    let whole = run(&Checkpoints::none(), &Silent).unwrap();
+    let most = 256 * atlas.points.len() as u64;
+    assert!((most / 8 + 1..most).contains(&whole.rays), "{} of {most} rays", whole.rays);
+    let open = || Checkpoints::open(&path, &identity(&scene.mesh, &radiance, quality), &Silent).unwrap();
+    for limit in [1, whole.rays / 4, whole.rays / 2] {
+        let stop = Stop { limit, ..Stop::default() };
+        assert!(matches!(run(&open(), &stop), Err(Error::Cancelled)));
+        assert!(run(&open(), &Silent).unwrap() == whole, "stopped after {limit} rays");
+        open().finish();
     }
 }

@@ -7,7 +7,7 @@ use crate::brdf::basis;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
-use crate::rng::{fibonacci_step, fibonacci2, hash2};
+use crate::rng::{hash2, lattice2};
 use crate::surface::SurfacePoint;
 
 /// A cosine-distributed unit direction around +Z, density cosθ/π.
@@ -18,8 +18,8 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
 }
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
-/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point i of the Fibonacci lattice of n_c points,
-/// shifted by two hashes of `hash2(seed, sequence)`, light sample i point i of another of n_l points.
+/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point part · n_c + i of the lattice
+/// sequence shifted by two hashes of `hash2(seed, sequence)`, light sample i point part · n_l + i of another.
 ///
 /// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
 /// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.
@@ -38,9 +38,9 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));
     let (mut sum, mut behind) = (V3::zero(), 0u32);
 
-    let (step, offset) = (fibonacci_step(gather.cosine), [hash2(seed, 3), hash2(seed, 4)]);
+    let offset = [hash2(seed, 3), hash2(seed, 4)];
     for i in 0..gather.cosine {
-        let V3([x, y, z]) = cosine_direction(fibonacci2(i, step, offset));
+        let V3([x, y, z]) = cosine_direction(lattice2(gather.part.wrapping_mul(gather.cosine).wrapping_add(i), offset));
         let direction = tangent * x + bitangent * y + normal * z;
         let Some(hit) = lighting.tracer.closest(origin, direction) else {
             // Light samples never aim there.
@@ -56,9 +56,10 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             + n_light * light_density(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (z / density);
     }
-    let (step, offset) = (fibonacci_step(gather.light), [hash2(seed, 1), hash2(seed, 2)]);
+    let offset = [hash2(seed, 1), hash2(seed, 2)];
     for i in 0..light_samples {
-        let (triangle, target) = light_point(mesh, lights, table, fibonacci2(i, step, offset));
+        let (triangle, target) =
+            light_point(mesh, lights, table, lattice2(gather.part.wrapping_mul(gather.light).wrapping_add(i), offset));
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };

@@ -126,7 +126,7 @@ pub fn fit(
     let lights = Lights::find(scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
     let rays = settings.irradiance_rays(atlas.typical_texel(&scene.mesh));
-    let gather = Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed };
+    let gather = Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
     let irradiance =
         bake::denoised(backend, &scene.mesh, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");

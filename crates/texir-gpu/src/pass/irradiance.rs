@@ -7,7 +7,6 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
-use texir_core::rng::fibonacci_step;
 use texir_core::surface::SurfacePoint;
 
 use crate::batch::{Context, GatherShape, Gathering};
@@ -24,8 +23,7 @@ pub(crate) struct IrradianceParams {
     pub cosine_samples: u32,
     pub light_samples: u32,
     pub seed: u32,
-    pub cosine_step: u32,
-    pub light_step: u32,
+    pub part: u32,
 }
 
 struct Irradiance<'a> {
@@ -69,8 +67,7 @@ impl Gathering for Irradiance<'_> {
             cosine_samples: self.gather.cosine,
             light_samples: self.gather.light,
             seed: self.gather.seed,
-            cosine_step: fibonacci_step(self.gather.cosine),
-            light_step: fibonacci_step(self.gather.light),
+            part: self.gather.part,
         });
         let own =
             [("params", params.binding()), ("points", batch.points.binding()), ("gathered", batch.gathered.binding())];

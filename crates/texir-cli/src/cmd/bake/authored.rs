@@ -6,7 +6,6 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{self, Bounces, write_lightmapped_glb};
-use texir_core::backend::Gather;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
@@ -81,19 +80,14 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
             "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
         ));
     }
-    let light = if bake.cosine_only { 0 } else { bake.spp / 2 };
-    let bounces = Bounces {
-        gather: Gather { cosine: bake.spp - light, light, seed: session.config.fit.seed },
-        denoise: !bake.no_denoise,
-        tolerance: options.tolerance,
-        most: options.bounces,
-    };
-    let settings = (backend.name(), width, height, bounces.gather, bounces.denoise);
+    let bounces = Bounces { quality: bake.quality(session)?, tolerance: options.tolerance, most: options.bounces };
+    let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
     let solved =
         authored::irradiance(backend.as_mut(), &scene, &atlas, &surfaces, &bounces, &checkpoints, session.console)?;
     let map = bake.profile().lightmap(&solved.baked.map(&atlas, bake.buried()));
     write_lightmap(&bake.output, &map)?;
+    bake.write_standard_error(&solved.baked, &atlas)?;
     let attached = (bake.profile() == Profile::Moz).then_some(&map);
     write_lightmapped_glb(&glb, &bake.input, &model, attached)?;
     checkpoints.finish();
@@ -104,7 +98,7 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
         height,
         texels: atlas.texels.len(),
         buried: solved.baked.buried.iter().filter(|inside| **inside).count(),
-        rays: solved.rays,
+        rays: solved.baked.rays,
         remainder: solved.remainder.is_finite().then_some(solved.remainder),
         series: solved.series,
     };

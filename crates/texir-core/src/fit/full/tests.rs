@@ -66,7 +66,7 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
     let lights = Lights::find(&scene, &atlas, &radiance);
     backend.set_tbl(&radiance, &lights).unwrap();
     let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();
-    let gather = Gather { cosine: 1024, light: 1024, seed: 3 };
+    let gather = Gather { cosine: 1024, light: 1024, seed: 3, part: 0 };
     let irradiance: Vec<Vec3A> =
         backend.irradiance(&atlas.points, gather, &Silent).unwrap().iter().map(|g| Vec3A::from(g.irradiance)).collect();
     let mut seen = Observations { rows: Rows { offsets: vec![0], taps: vec![] }, ..Observations::default() };
