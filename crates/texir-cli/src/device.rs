@@ -19,6 +19,28 @@ pub fn open<'a>(scene: &'a Scene, config: &Config, console: &Console) -> Result<
     Ok(backend)
 }
 
+/// Opens every backend that the user lets in, the CPU first: to compare them.
+pub fn open_all<'a>(
+    scene: &'a Scene,
+    config: &Config,
+    console: &Console,
+) -> Result<Vec<Box<dyn Backend + 'a>>, Failure> {
+    let mut backends: Vec<Box<dyn Backend + 'a>> = Vec::new();
+    if config.backend != BackendChoice::Gpu && config.adapter.is_none() {
+        backends.push(Box::new(CpuBackend::new(scene)));
+    }
+    if config.backend != BackendChoice::Cpu {
+        match Gpu::headless(config.adapter.as_deref()) {
+            Ok(gpu) => {
+                backends.push(Box::new(GpuBackend::new(&gpu, scene).context("the GPU backend could not be set up")?))
+            }
+            Err(error) if backends.is_empty() => return Err(error.into()),
+            Err(error) => console.note(&error.to_string()),
+        }
+    }
+    Ok(backends)
+}
+
 fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> {
     if config.backend == BackendChoice::Cpu {
         // Not even asked: loading a graphics driver takes time, and some of them talk.

@@ -2,6 +2,7 @@
 
 mod ablate;
 mod bake;
+mod bench;
 mod corrections;
 mod demo;
 mod eval;
@@ -50,6 +51,8 @@ pub enum Command {
     Eval(eval::Eval),
     /// Write one self-contained HTML page about a fit
     Report(report::Report),
+    /// Measure how fast this machine traces rays, by size of mesh and atlas
+    Bench(bench::Bench),
 }
 
 /// What every command gets.
@@ -90,6 +93,7 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
         Command::Render(command) => command.run(session),
         Command::Eval(command) => command.run(session),
         Command::Report(command) => command.run(session),
+        Command::Bench(command) => command.run(session),
     }
 }
 
