@@ -426,11 +426,11 @@ impl FullSettings {
 
 impl FitSettings {
     /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces, not
-    /// over texels, and the denoiser gathers from those around: 256 rays for 2.5 cm and more, fewer for finer texels in
-    /// proportion to their area, but 64.
+    /// over texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128 or 64 for
+    /// finer ones.
     pub fn irradiance_rays(&self, texel: f32) -> u32 {
         match self.irradiance_samples {
-            0 => (256.0 * (texel / 0.025).powi(2)).clamp(64.0, 256.0) as u32,
+            0 => 256 >> (2.0 * (0.025 / texel).log2()).round().clamp(0.0, 2.0) as u32,
             samples => samples,
         }
     }

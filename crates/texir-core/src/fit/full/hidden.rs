@@ -125,8 +125,8 @@ mod tests {
         let surface: Vec<u32> = atlas.points.iter().map(|p| p.triangle).collect();
         let known: Vec<Option<u16>> = (0..atlas.points.len()).map(seen).collect();
         let labels = label(&atlas, &surface, &known, TEXEL);
-        for t in 0..SIDE * SIDE {
-            assert_eq!(labels[t], Some(seen(t).unwrap_or(1)), "texel {t}");
+        for (t, label) in labels[..SIDE * SIDE].iter().enumerate() {
+            assert_eq!(*label, Some(seen(t).unwrap_or(1)), "texel {t}");
         }
         // Negative control: on one surface with the shelf, which is seen all over, the hidden floor is taken for it.
         let one = label(&atlas, &vec![0; surface.len()], &known, TEXEL);
