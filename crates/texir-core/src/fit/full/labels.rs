@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::atlas::Atlas;
-use crate::backend::{Backend, Projected};
+use crate::backend::Backend;
 use crate::capture::View;
 use crate::error::Result;
 use crate::fit::adjacency::Adjacency;
@@ -39,7 +39,8 @@ pub struct Witness {
     pub weight: f32,
 }
 
-/// The witness of every texel in a view, where the view sees it and `mask` does not exclude the pixel.
+/// The witness of every texel in a view, where the view sees it and `mask` does not exclude the pixel. Rays are only traced
+/// from texels whose pixel shows their surface: the others are not seen there anyway.
 pub fn witnesses(
     backend: &mut dyn Backend,
     mesh: &Mesh,
@@ -47,19 +48,26 @@ pub fn witnesses(
     view: &View,
     mask: Option<&Mask>,
 ) -> Result<Vec<Option<Witness>>> {
-    let shown = Shown::new(backend, mesh, &view.camera)?;
-    let per_steradian = pixels_per_steradian(&view.camera);
-    let projected = backend.project(&atlas.points, &view.camera)?;
-    let witness = |(point, at): (&SurfacePoint, &Projected)| {
-        let Projected { pixel: [x, y], cosine, distance } = *at;
-        let pixel = shown.pixel(x.floor() as i64, y.floor() as i64)?;
-        let seen = distance > 0.0
-            && cosine >= MIN_COSINE
-            && mask.is_none_or(|mask| mask.data[pixel])
-            && shown.shows(pixel, point, distance);
-        seen.then(|| Witness { pixel, weight: (per_steradian * cosine / (distance * distance)).powf(SHARPNESS) })
+    let camera = &view.camera;
+    let shown = Shown::new(backend, mesh, camera)?;
+    let candidate = |(texel, point): (usize, &SurfacePoint)| {
+        let position = Vec3::from(point.position);
+        let at = camera.project(position)?;
+        let pixel = shown.pixel(at.x as i64, at.y as i64)?;
+        let usable = mask.is_none_or(|mask| mask.data[pixel]);
+        let shows = usable && shown.shows(pixel, point, position.distance(camera.position()));
+        shows.then_some((texel, pixel))
     };
-    Ok(atlas.points.par_iter().zip(&projected).map(witness).collect())
+    let candidates: Vec<(usize, usize)> = atlas.points.par_iter().enumerate().filter_map(candidate).collect();
+    let points: Vec<SurfacePoint> = candidates.iter().map(|(texel, _)| atlas.points[*texel]).collect();
+    let mut witnesses: Vec<Option<Witness>> = atlas.points.iter().map(|_| None).collect();
+    for ((texel, pixel), at) in candidates.into_iter().zip(backend.project(&points, camera)?) {
+        if at.distance > 0.0 && at.cosine >= MIN_COSINE {
+            let resolution = pixels_per_steradian(camera) * at.cosine / (at.distance * at.distance);
+            witnesses[texel] = Some(Witness { pixel, weight: resolution.powf(SHARPNESS) });
+        }
+    }
+    Ok(witnesses)
 }
 
 /// The votes of all views; empty while nobody voted.
