@@ -10,7 +10,7 @@ use crate::progress::Silent;
 use crate::raster::{Mask, Rgb};
 
 const SIZE: (usize, usize) = (384, 256);
-pub(crate) const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
+const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
 
 /// A quad from `corner` along two edges, seen from the side of a × b, in one of 3×2 cells of the atlas.
 fn quad(mesh: &mut Mesh, cell: u32, corner: Vec3, a: Vec3, b: Vec3) {
