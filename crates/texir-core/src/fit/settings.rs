@@ -108,23 +108,21 @@ impl DiffuseChoice {
     }
 }
 
-/// Roughness that varies within a surface: blocks of the atlas, halving.
+/// Roughness that varies within a surface, of which blocks have one of two finishes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LocalSettings {
-    /// Edge of the largest blocks, metres.
-    pub largest: f32,
-    /// Edge of the smallest blocks, metres.
-    pub smallest: f32,
-    /// Pull of a block on those in it.
-    pub pull: f32,
-    /// Pixels that a block must have to be believed half.
-    pub pixels: f32,
+    /// Edge of a block, metres.
+    pub block: f32,
+    /// By how much two finishes must explain a segment better than one: the fall of the logarithm of its mean cost.
+    pub gain: f32,
+    /// Pixels that each finish must have.
+    pub pixels: u32,
 }
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { largest: 0.6, smallest: 0.2, pull: 10.0, pixels: 30.0 }
+        Self { block: 0.3, gain: 0.12, pixels: 200 }
     }
 }
 
@@ -414,8 +412,8 @@ impl FullSettings {
             not_negative("full.roughness.room_pull", r.room_pull),
             not_negative("full.roughness.segment_pull", r.segment_pull),
             not_negative("full.roughness.colour_pull", r.colour_pull),
-            not_negative("full.roughness.local.pull", r.local.pull),
-            positive("full.roughness.local.smallest", r.local.smallest),
+            positive("full.roughness.local.block", r.local.block),
+            positive("full.roughness.local.gain", r.local.gain),
             share("full.palette.strength", p.strength),
             positive("full.palette.bandwidth", p.bandwidth),
             positive("full.palette.reach", p.reach),

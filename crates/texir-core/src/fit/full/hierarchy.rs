@@ -13,7 +13,7 @@ use crate::fit::adjacency::NONE;
 use crate::specular_table::{NODES, node};
 
 /// Cost below which no group counts as explained better: images and models are not that exact.
-const FLOOR: f32 = 2e-3;
+pub const FLOOR: f64 = 2e-3;
 
 /// By how much ln cost must rise for a roughness to count as clearly worse.
 const CLEARLY_WORSE: f32 = 0.1;
@@ -41,8 +41,8 @@ pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
             }
             let believed = *count as f32 / (*count as f32 + level.half_believed);
             let cost: [f32; NODES] = std::array::from_fn(|k| {
-                let mean = sum[k] as f32 / *count as f32;
-                believed * (mean + FLOOR).ln() + level.pull * (node(k) / parent).ln().powi(2)
+                let mean = sum[k] / f64::from(*count);
+                believed * (mean + FLOOR).ln() as f32 + level.pull * (node(k) / parent).ln().powi(2)
             });
             minimum(&cost)
         })
@@ -54,7 +54,7 @@ pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
 pub fn confidence(evidence: &Evidence, group: &[u32], groups: usize, half_believed: f32) -> Vec<f32> {
     let width: f32 = (0..NODES).map(node).sum();
     let of_group = |(sum, count): &([f64; NODES], u32)| {
-        let cost = |k: usize| (sum[k] as f32 / *count as f32 + FLOOR).ln();
+        let cost = |k: usize| (sum[k] / f64::from(*count) + FLOOR).ln() as f32;
         let least = (0..NODES).map(cost).fold(f32::INFINITY, f32::min);
         // Nodes are evenly spaced in ln r: each stands for a range of r as wide as r.
         let excluded: f32 = (0..NODES).filter(|&k| cost(k) > least + CLEARLY_WORSE).map(node).sum();

@@ -160,10 +160,16 @@ fn by_colour(
     let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
     let level = Level { group: &group, parent: &parent, pull: s.colour_pull, half_believed: s.colour_pixels };
     let settled = settle(evidence, &level);
-    let surface =
-        local::Surface { width: atlas.width, texels: &atlas.texels, group: &colour, heaviest: &heaviest, texel_size };
+    let surface = local::Surface {
+        width: atlas.width,
+        texels: &atlas.texels,
+        segment: problem.segment.0,
+        whole: by_segment,
+        heaviest: &heaviest,
+        texel_size,
+    };
     let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();
-    local::refine(&surface, evidence, coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
+    local::refine(&surface, evidence, &coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
 }
 
 fn looked_up(seen: &Observations, texels: &[f32]) -> Vec<f32> {

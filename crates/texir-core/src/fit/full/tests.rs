@@ -241,32 +241,38 @@ fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
 }
 
 #[test]
-fn local_roughness_follows_clear_evidence_only() {
+fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     use super::local::{Surface, refine};
     use super::scan::Evidence;
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
     let (width, texels) = (64u32, (0..64 * 16).collect::<Vec<u32>>());
-    // The left half is smooth, the right half rough; `depth` says how clearly the views tell.
-    let evidence = |depth: f32| Evidence {
+    // The left half is smooth, the right half rough; `depth` says how clearly the views tell, beside what nothing explains.
+    let evidence = |depth: f32, rough: f32| Evidence {
         segment: vec![0; texels.len()],
         cost: texels
             .iter()
             .map(|t| {
-                let truth: f32 = if t % width < 32 { 0.1 } else { 0.4 };
-                std::array::from_fn(|k| half::f16::from_f32(depth * (node(k) / truth).ln().powi(2).min(1.0)))
+                let truth: f32 = if t % width < 32 { 0.1 } else { rough };
+                std::array::from_fn(|k| half::f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
             })
             .collect::<Vec<[half::f16; NODES]>>(),
     };
-    let group = vec![0; texels.len()];
-    let surface =
-        Surface { width: width as usize, texels: &texels, group: &group, heaviest: &texels, texel_size: 0.05 };
-    let settings = LocalSettings { pull: 1.0, ..LocalSettings::default() };
-    let refined = |depth| refine(&surface, &evidence(depth), vec![0.2; texels.len()], &settings);
-    let clear = refined(1.0);
-    assert!(clear[8] < 0.13 && clear[56] > 0.32, "{} {}", clear[8], clear[56]);
-    let vague = refined(1e-4);
-    assert!((vague[8] - 0.2).abs() < 0.02 && (vague[56] - 0.2).abs() < 0.02, "{} {}", vague[8], vague[56]);
+    let (segment, whole) = (vec![0; texels.len()], [0.2]);
+    let surface = Surface {
+        width: width as usize,
+        texels: &texels,
+        segment: &segment,
+        whole: &whole,
+        heaviest: &texels,
+        texel_size: 0.05,
+    };
+    let refined = |depth, rough| refine(&surface, &evidence(depth, rough), &[0.2; 1024], &LocalSettings::default());
+    let clear = refined(1.0, 0.4);
+    assert!((clear[8] - 0.1).abs() < 0.01 && (clear[56] - 0.4).abs() < 0.02, "{} {}", clear[8], clear[56]);
+    // Negative controls: too little difference, and none.
+    assert_eq!(refined(1e-3, 0.4), [0.2; 1024]);
+    assert_eq!(refined(1.0, 0.1), [0.2; 1024]);
 }
 
 #[test]
