@@ -102,6 +102,11 @@ impl ShadePoint {
         }
     }
 
+    /// Where its rays leave; of no triangle.
+    pub fn origin(&self) -> SurfacePoint {
+        SurfacePoint { position: self.position, triangle: Hit::NONE, normal: self.normal, sequence: self.sequence }
+    }
+
     /// n·v.
     pub fn cosine(&self) -> f32 {
         glam::Vec3::from(self.normal).dot(glam::Vec3::from(self.view))

@@ -5,41 +5,62 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use texir_core::atomic_file::write_atomic;
-use texir_core::capture::Capture;
-use texir_core::eval::Evaluation;
+use texir_core::capture::{Capture, Split};
+use texir_core::eval::{Evaluation, Table};
 use texir_core::fit::{FitSettings, Mode};
-use texir_core::outputs::{METRICS, SETTINGS, Staging};
+use texir_core::outputs::{FitOutput, METRICS, SETTINGS, Staging};
+use texir_core::raster::Gray;
+use texir_core::render::Renderer;
+use texir_core::scene::Scene;
 
-use super::{CaptureArgs, Session, eval, fit, report};
+use super::report::{name, publish};
+use super::{CaptureArgs, Session, eval, fit};
+use crate::device;
 use crate::failure::Failure;
 use crate::figures::{self, FIGURES};
+use crate::report::ablation::{self, Ablation, Pictures};
+use crate::report::{self, Picture};
 
-/// The table, in the folder of the variants.
+/// The table, in the folder of the variants,
 const TABLE: &str = "ablation.json";
+/// and the page.
+const PAGE: &str = "ablation.html";
 
 /// A way to fit.
 struct Variant {
     /// Its folder.
     name: &'static str,
-    /// What it leaves out.
+    /// What it leaves out, in words,
+    note: &'static str,
+    /// and in settings.
     set: fn(&mut FitSettings),
 }
 
-/// From the least to the most.
-const VARIANTS: [Variant; 6] = [
+/// From the least to the most; all but the last in paper mode.
+const VARIANTS: [Variant; 7] = [
     Variant {
         name: "joint",
-        set: |s| {
-            s.mode = Mode::Paper;
-            s.stage_one.enabled = false;
-            s.stage_two.enabled = false;
-        },
+        note: "albedo and roughness together from the start: no stage I, no stage II",
+        set: |s| (s.stage_one.enabled, s.stage_two.enabled) = (false, false),
     },
-    Variant { name: "without-stage-1", set: |s| (s.mode, s.stage_one.enabled) = (Mode::Paper, false) },
-    Variant { name: "without-stage-2", set: |s| (s.mode, s.stage_two.enabled) = (Mode::Paper, false) },
-    Variant { name: "without-stage-3", set: |s| (s.mode, s.stage_three.enabled) = (Mode::Paper, false) },
-    Variant { name: "paper", set: |s| s.mode = Mode::Paper },
-    Variant { name: "full", set: |s| s.mode = Mode::Full },
+    Variant {
+        name: "without-stage-1",
+        note: "no albedo of its own before roughness",
+        set: |s| s.stage_one.enabled = false,
+    },
+    Variant {
+        name: "without-stage-2",
+        note: "no roughness from virtual highlights",
+        set: |s| s.stage_two.enabled = false,
+    },
+    Variant { name: "without-stage-3", note: "no refinement of both", set: |s| s.stage_three.enabled = false },
+    Variant {
+        name: "source-tbl",
+        note: "irradiance gathered anew at every step instead of precomputed",
+        set: |s| s.precomputed_irradiance = false,
+    },
+    Variant { name: "paper", note: "the paper's three stages", set: |_| () },
+    Variant { name: "full", note: "the program's own way", set: |s| s.mode = Mode::Full },
 ];
 
 /// Arguments of `texir ablate`.
@@ -47,7 +68,7 @@ const VARIANTS: [Variant; 6] = [
 pub struct Ablate {
     #[command(flatten)]
     capture: CaptureArgs,
-    /// Folder for one fit with its report per variant, and ablation.json
+    /// Folder for one fit with its report per variant, ablation.html and ablation.json
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Rays per pixel of the evaluations, for highlights; at least 96
@@ -70,12 +91,52 @@ impl Ablate {
         let outcomes: Vec<Outcome> =
             VARIANTS.iter().map(|variant| self.one(variant, &capture, session)).collect::<Result<_, _>>()?;
         write_atomic(self.output.join(TABLE), |sink| serde_json::to_writer_pretty(sink, &outcomes))?;
-        session.print(&outcomes, || table(&outcomes))
+        let page = self.output.join(PAGE);
+        report::write_ablation(&self.page(&outcomes, &capture, session)?, &page)?;
+        session.print(&outcomes, || format!("{}\n\n{}", table(&outcomes), page.display()))
+    }
+
+    /// The page, with the first training view's pictures.
+    fn page(&self, outcomes: &[Outcome], capture: &Capture, session: &Session<'_>) -> Result<Ablation, Failure> {
+        let Some(view) = capture.views(Split::Train).next() else {
+            return Err(Failure::new(format!("{} has no training view", capture.root.display())));
+        };
+        let (albedo, roughness) = (view.load_albedo()?, view.load_roughness()?);
+        let mut variants = Vec::new();
+        for (variant, outcome) in VARIANTS.iter().zip(outcomes) {
+            let output = FitOutput::load(&self.output.join(variant.name), session.console)?;
+            let scene = Scene::new(output.mesh)?;
+            let mut backend = device::open(&scene, session.config, session.console)?;
+            let (radiance, seed) = (&output.tbl.radiance, session.config.fit.seed);
+            let mut renderer = Renderer::new(backend.as_mut(), &scene, radiance, self.spp, seed)?;
+            let surfaces = renderer.surfaces(&view.camera, &output.textures)?;
+            let mask = surfaces.reflective();
+            let error = |truth: &Gray| Picture::value_error(&surfaces.roughness, truth, &mask);
+            variants.push(ablation::Variant {
+                name: variant.name,
+                note: variant.note,
+                table: outcome.evaluation.result,
+                pictures: Pictures {
+                    albedo: Picture::linear(&surfaces.albedo)?,
+                    roughness: Picture::values(&surfaces.roughness)?,
+                    error: roughness.as_ref().map(error).transpose()?,
+                },
+            });
+        }
+        let truth = match (ceiling(outcomes), &albedo, &roughness) {
+            (Some(table), Some(albedo), Some(roughness)) => {
+                let (albedo, roughness) = (Picture::linear(albedo)?, Picture::values(roughness)?);
+                Some((table, Pictures { albedo, roughness, error: None }))
+            }
+            _ => None,
+        };
+        Ok(Ablation { title: name(&capture.root), view: view.name.clone(), variants, truth })
     }
 
     fn one(&self, variant: &Variant, capture: &Capture, session: &Session<'_>) -> Result<Outcome, Failure> {
         let out = self.output.join(variant.name);
         let mut config = session.config.clone();
+        config.fit.mode = Mode::Paper;
         (variant.set)(&mut config.fit);
         let session = &Session { config: &config, ..*session };
         let settings = std::fs::read_to_string(out.join(SETTINGS)).ok();
@@ -89,7 +150,7 @@ impl Ablate {
             None => {
                 session.console.note(&format!("{:>24}  {}", "variant", variant.name));
                 let output = fit::write(Staging::new(&out)?, capture, session)?;
-                report::publish(&out, &output, capture, self.spp, session)?
+                publish(&out, &output, capture, self.spp, session)?
             }
         };
         Ok(Outcome { name: variant.name, evaluation })
@@ -105,12 +166,17 @@ impl Ablate {
     }
 }
 
+/// What true materials reach, under the light of any variant that tells.
+fn ceiling(outcomes: &[Outcome]) -> Option<Table> {
+    outcomes.iter().find_map(|outcome| outcome.evaluation.ceiling)
+}
+
 /// A line per variant: PSNR and SSIM of the protocol's rows, and last what true materials reach.
 fn table(outcomes: &[Outcome]) -> String {
     let shown = || FIGURES.iter().filter(|figure| !figure.minor);
     let head: String = shown().map(|figure| format!("{:>30}", figure.name)).collect();
     let mut lines = vec![format!("{:<18}{head}", "")];
-    let ceiling = outcomes.iter().find_map(|o| o.evaluation.ceiling.map(|c| ("true materials", c)));
+    let ceiling = ceiling(outcomes).map(|table| ("true materials", table));
     for (name, table) in outcomes.iter().map(|o| (o.name, o.evaluation.result)).chain(ceiling) {
         let score = |figure: &figures::Figure| match (figure.of)(&table) {
             Some(score) => format!("{:>21.2} / {:.4}", score.psnr, score.ssim),

@@ -76,7 +76,7 @@ fn facts(out: &Path) -> Result<Vec<(String, String)>, Failure> {
 }
 
 /// The last part of the capture's path, as a title.
-fn name(root: &Path) -> String {
+pub fn name(root: &Path) -> String {
     let absolute = root.canonicalize().unwrap_or_else(|_| root.to_owned());
     absolute.file_name().unwrap_or(absolute.as_os_str()).to_string_lossy().into_owned()
 }

@@ -1,5 +1,6 @@
 //! The report: one self-contained HTML page that shows how good a fit is, and where it is not.
 
+pub mod ablation;
 mod curves;
 mod page;
 mod picture;
@@ -140,9 +141,18 @@ pub fn texture_figures(textures: &Textures, confidence: Option<&Gray>) -> Result
     Ok(figures)
 }
 
-/// Writes the page; what was there before stays until the new one is whole.
+/// Writes the page of a fit.
 pub fn write(report: &Report, path: &Path) -> Result<(), Failure> {
-    let html = page::html(report);
+    publish(&page::html(report), path)
+}
+
+/// Writes the page of an ablation.
+pub fn write_ablation(ablation: &ablation::Ablation, path: &Path) -> Result<(), Failure> {
+    publish(&ablation::html(ablation), path)
+}
+
+/// What was there before stays until the new page is whole.
+fn publish(html: &str, path: &Path) -> Result<(), Failure> {
     texir_core::atomic_file::write_atomic(path, |file| file.write_all(html.as_bytes())).map_err(Failure::from)
 }
 

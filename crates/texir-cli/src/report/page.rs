@@ -13,28 +13,36 @@ use super::{Report, Row, TextureFigure, ViewPanel};
 macro_rules! push {
     ($page:expr, $($text:tt)*) => { $page.push_str(&format!($($text)*)) };
 }
+pub(super) use push;
 
-/// The whole page.
+/// The whole page of a fit.
 pub fn html(report: &Report) -> String {
+    document(&report.title, &report.summary, |page| {
+        tiles(page, report);
+        figures(page, report);
+        textures(page, report);
+        rooms(page, report);
+        curves(page, report);
+        views(page, report);
+        facts(page, report);
+    })
+}
+
+/// A page of this house: head, title, what `body` appends, foot.
+pub(super) fn document(title: &str, summary: &str, body: impl FnOnce(&mut String)) -> String {
     let mut page = String::from("<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n");
     page += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
-    push!(page, "<title>{} · texir</title>\n", escape(&report.title));
+    push!(page, "<title>{} · texir</title>\n", escape(title));
     push!(page, "<style>\n{}</style>\n<main>\n", include_str!("style.css"));
-    header(&mut page, report);
-    figures(&mut page, report);
-    textures(&mut page, report);
-    rooms(&mut page, report);
-    curves(&mut page, report);
-    views(&mut page, report);
-    facts(&mut page, report);
+    page.push_str("<header>\n<p class=\"eyebrow\">texir · inverse rendering</p>\n");
+    push!(page, "<h1>{}</h1>\n<p class=\"lede\">{}</p>\n</header>\n", escape(title), escape(summary));
+    body(&mut page);
     push!(page, "<footer>Written by texir {}.</footer>\n</main>\n", env!("CARGO_PKG_VERSION"));
     page
 }
 
-fn header(page: &mut String, report: &Report) {
-    page.push_str("<header>\n<p class=\"eyebrow\">texir · inverse rendering</p>\n");
-    push!(page, "<h1>{}</h1>\n<p class=\"lede\">{}</p>\n", escape(&report.title), escape(&report.summary));
-    page.push_str("</header>\n<div class=\"tiles\">\n");
+fn tiles(page: &mut String, report: &Report) {
+    page.push_str("<div class=\"tiles\">\n");
     let evaluation = &report.evaluation;
     for Figure { name, of, .. } in FIGURES.iter().filter(|f| !f.minor) {
         let Some(score) = of(&evaluation.result) else { continue };
@@ -136,14 +144,7 @@ fn curves(page: &mut String, report: &Report) {
 
 fn views(page: &mut String, report: &Report) {
     page.push_str("<h2>Views</h2>\n<p class=\"note\">All pictures share one tone curve. Albedo is shown after the scale it is judged at.</p>\n");
-    let stops: Vec<String> = ERROR_COLOURS.iter().map(|c| css_colour(*c)).collect();
-    push!(
-        page,
-        "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
-         <span>{ERROR_RANGE} and more, of 1</span><span class=\"swatch\" style=\"background:{}\"></span><span>not counted</span></div>\n",
-        stops.join(","),
-        css_colour(UNCOUNTED)
-    );
+    error_legend(page);
     page.push_str("<nav aria-label=\"Views\">");
     for (i, view) in report.views.iter().enumerate() {
         push!(page, "<a class=\"{}\" href=\"#view-{i}\">{}</a>", split(view.split).0, escape(&view.name));
@@ -152,6 +153,18 @@ fn views(page: &mut String, report: &Report) {
     for (i, view) in report.views.iter().enumerate() {
         panel(page, i, view);
     }
+}
+
+/// What the colours of error maps mean.
+pub(super) fn error_legend(page: &mut String) {
+    let stops: Vec<String> = ERROR_COLOURS.iter().map(|c| css_colour(*c)).collect();
+    push!(
+        page,
+        "<div class=\"legend\"><span>Error 0</span><span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span>\
+         <span>{ERROR_RANGE} and more, of 1</span><span class=\"swatch\" style=\"background:{}\"></span><span>not counted</span></div>\n",
+        stops.join(","),
+        css_colour(UNCOUNTED)
+    );
 }
 
 fn panel(page: &mut String, index: usize, view: &ViewPanel) {
@@ -197,7 +210,7 @@ fn facts(page: &mut String, report: &Report) {
     );
 }
 
-fn img(picture: &Picture, alt: impl Display) -> String {
+pub(super) fn img(picture: &Picture, alt: impl Display) -> String {
     let Picture { width, height, data_uri } = picture;
     format!("<img src=\"{data_uri}\" width=\"{width}\" height=\"{height}\" alt=\"{alt}\" loading=\"lazy\">")
 }
@@ -214,6 +227,6 @@ fn css_colour([r, g, b]: [u8; 3]) -> String {
     format!("rgb({r} {g} {b})")
 }
 
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

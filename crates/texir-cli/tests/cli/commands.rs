@@ -150,9 +150,13 @@ fn an_ablation_compares_every_variant_and_keeps_what_is_done() {
     arguments[0] = "ablate".into();
     let said = json(&succeed(&arguments).out);
     let names: Vec<&str> = said.as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["joint", "without-stage-1", "without-stage-2", "without-stage-3", "paper", "full"]);
+    let expected = ["joint", "without-stage-1", "without-stage-2", "without-stage-3", "source-tbl", "paper", "full"];
+    assert_eq!(names, expected);
     let roughness = |i: usize| said[i]["evaluation"]["result"]["train"]["roughness"]["psnr"].as_f64().unwrap();
-    assert!((0..6).all(|i| roughness(i) > 0.0) && roughness(2) != roughness(4), "{said}");
+    assert!((0..7).all(|i| roughness(i) > 0.0), "{said}");
+    assert!(roughness(2) != roughness(5) && roughness(4) != roughness(5), "{said}");
+    let page = std::fs::read_to_string(out.join("ablation.html")).unwrap();
+    assert!(expected.iter().all(|name| page.contains(&format!("<h3>{name}</h3>"))));
     assert!(out.join("full/confidence.exr").is_file() && !out.join("paper/confidence.exr").exists());
     assert!(std::fs::read_to_string(out.join("full/materials.json")).unwrap().contains("diffuse"));
 

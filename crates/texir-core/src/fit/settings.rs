@@ -41,6 +41,9 @@ pub struct FitSettings {
     pub max_memory: ByteSize,
     /// Specular samples per pixel and step.
     pub specular_samples: u32,
+    /// Paper mode: take diffuse light from the irradiance that was baked. Otherwise every step gathers it anew, with as many
+    /// cosine-distributed rays per pixel as `specular_samples` (the paper's source TBL, Figure 8).
+    pub precomputed_irradiance: bool,
     /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect: L > ratio · E/π.
     pub emitter_ratio: f32,
     /// Which roughness gradient the adjoint uses.
@@ -114,7 +117,8 @@ impl DiffuseChoice {
 pub struct LocalSettings {
     /// Edge of a block, metres.
     pub block: f32,
-    /// By how much two finishes must explain a segment better than one: the fall of the logarithm of its mean cost.
+    /// By how much two finishes must explain a segment better than one, each block having the one that the blocks around it ask
+    /// for: the fall of the logarithm of the segment's mean cost.
     pub gain: f32,
     /// Pixels that each finish must have.
     pub pixels: u32,
@@ -122,7 +126,7 @@ pub struct LocalSettings {
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { block: 0.3, gain: 0.12, pixels: 200 }
+        Self { block: 0.3, gain: 0.1, pixels: 200 }
     }
 }
 
@@ -271,6 +275,7 @@ impl Default for FitSettings {
             irradiance_samples: 0,
             max_memory: ByteSize::gib(8),
             specular_samples: 16,
+            precomputed_irradiance: true,
             emitter_ratio: 3.0,
             gradient: RoughnessGradient::Exact,
             footprint_samples: 2,

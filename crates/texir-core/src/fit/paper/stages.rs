@@ -1,14 +1,17 @@
 //! The paper's three stages (method section 3). Each is the same loop, one view per step: look the parameters up, render,
 //! compare, and carry the gradient back to the texels, where Adam updates them.
 
+use std::borrow::Cow;
+
 use super::views::FitView;
-use crate::backend::{Backend, GroupTarget, Groups, Loss, Material, MaterialGrad, Sampling, ShadePoint};
+use crate::backend::{Backend, Gather, GroupTarget, Groups, Loss, Material, MaterialGrad, Sampling, ShadePoint};
 use crate::checkpoint::{Array, Checkpoints, Step};
 use crate::error::{Error, Result};
 use crate::fit::adam::Adam;
 use crate::fit::settings::{FitSettings, OptimiserSettings};
 use crate::progress::{Progress, Silent};
 use crate::rng::hash2;
+use crate::surface::SurfacePoint;
 use crate::texture::Pyramid;
 
 /// The parameters: textures in the atlas.
@@ -98,15 +101,16 @@ impl<'a> Optimisation<'a> {
     }
 
     /// Stage I, albedo: mean|T(aE/π) − T(I)| + β_ssa mean|a − mean_class(a)|.
-    fn stage_one(&mut self, view: usize, textures: &Textures, _seed: u32) -> Result<Found> {
+    fn stage_one(&mut self, view: usize, textures: &Textures, seed: u32) -> Result<Found> {
         let view = self.view(view);
+        let points = self.lit(&view.points, seed)?;
         let albedo = self.lookup(&textures.albedo, 3, view)?;
         let diffuse = |p: &ShadePoint| p.irradiance.map(|e| e * std::f32::consts::FRAC_1_PI);
         let rendered: Vec<[f32; 3]> =
-            view.points.iter().zip(albedo.as_chunks::<3>().0).map(|(p, a)| product(diffuse(p), *a)).collect();
+            points.iter().zip(albedo.as_chunks::<3>().0).map(|(p, a)| product(diffuse(p), *a)).collect();
         let image = self.backend.radiance_loss(&rendered, &view.target, &view.weight)?;
         let mut d_albedo: Vec<f32> =
-            view.points.iter().zip(&image.gradient).flat_map(|(p, d)| product(diffuse(p), *d)).collect();
+            points.iter().zip(&image.gradient).flat_map(|(p, d)| product(diffuse(p), *d)).collect();
         let smooth = self.smoothness(
             &albedo,
             (&view.by_class, GroupTarget::Mean),
@@ -181,11 +185,23 @@ impl<'a> Optimisation<'a> {
         seed: u32,
     ) -> Result<Loss<MaterialGrad>> {
         let sampling = Sampling { samples: self.settings.specular_samples, seed };
+        let points = &*self.lit(points, seed)?;
         let shaded = self.backend.shade(points, materials, sampling, self.settings.gradient, &Silent)?;
         let radiance: Vec<[f32; 3]> = shaded.iter().map(|s| s.radiance).collect();
         let loss = self.backend.radiance_loss(&radiance, target, weight)?;
         let gradient = self.backend.shade_vjp(points, materials, &shaded, &loss.gradient)?;
         Ok(Loss { value: loss.value, gradient })
+    }
+
+    /// The points with the irradiance that a step sees: the precomputed one, or one gathered now.
+    fn lit<'p>(&mut self, points: &'p [ShadePoint], seed: u32) -> Result<Cow<'p, [ShadePoint]>> {
+        if self.settings.precomputed_irradiance {
+            return Ok(points.into());
+        }
+        let gather = Gather { cosine: self.settings.specular_samples, light: 0, seed, part: 0 };
+        let origins: Vec<SurfacePoint> = points.iter().map(ShadePoint::origin).collect();
+        let gathered = self.backend.irradiance(&origins, gather, &Silent)?;
+        Ok(points.iter().zip(gathered).map(|(p, g)| ShadePoint { irradiance: g.irradiance, ..*p }).collect())
     }
 
     /// `weight` times a group loss; its gradient is added to `d_values`.
