@@ -134,6 +134,14 @@ impl Camera {
         }
     }
 
+    /// Solid angle of a pixel, steradians.
+    pub fn solid_angle(&self, pixel: usize) -> f32 {
+        let (x, y) = ((pixel % self.width) as f32, (pixel / self.width) as f32);
+        let across = self.direction(x + 1.0, y + 0.5) - self.direction(x, y + 0.5);
+        let down = self.direction(x + 0.5, y + 1.0) - self.direction(x + 0.5, y);
+        across.cross(down).length()
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height

@@ -8,12 +8,9 @@
 
 use rayon::prelude::*;
 
-use super::scan::{Evidence, minimum};
+use super::scan::{Evidence, Tally, minimum};
 use crate::fit::adjacency::NONE;
 use crate::specular_table::{NODES, node};
-
-/// Cost below which no group counts as explained better: images and models are not that exact.
-pub const FLOOR: f64 = 2e-3;
 
 /// By how much ln cost must rise for a roughness to count as clearly worse.
 const CLEARLY_WORSE: f32 = 0.1;
@@ -32,19 +29,17 @@ pub struct Level<'a> {
 
 /// Roughness of every group of a level; a group without evidence takes its parent's.
 pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
-    let sums = sums(evidence, level.group, level.parent.len());
-    sums.par_iter()
+    tallies(evidence, level.group, level.parent.len())
+        .par_iter()
         .zip(level.parent)
-        .map(|((sum, count), parent)| {
-            if *count == 0 {
+        .map(|(tally, parent)| {
+            if tally.pixels == 0.0 {
                 return *parent;
             }
-            let believed = *count as f32 / (*count as f32 + level.half_believed);
-            let cost: [f32; NODES] = std::array::from_fn(|k| {
-                let mean = sum[k] / f64::from(*count);
-                believed * (mean + FLOOR).ln() as f32 + level.pull * (node(k) / parent).ln().powi(2)
-            });
-            minimum(&cost)
+            let misfit = tally.misfit();
+            let believed = tally.pixels as f32 / (tally.pixels as f32 + level.half_believed);
+            let pull = |k: usize| level.pull * (node(k) / parent).ln().powi(2);
+            minimum(&std::array::from_fn(|k| believed * misfit[k] + pull(k)))
         })
         .collect()
 }
@@ -53,25 +48,24 @@ pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
 /// than the best, 0 without pixels.
 pub fn confidence(evidence: &Evidence, group: &[u32], groups: usize, half_believed: f32) -> Vec<f32> {
     let width: f32 = (0..NODES).map(node).sum();
-    let of_group = |(sum, count): &([f64; NODES], u32)| {
-        let cost = |k: usize| (sum[k] / f64::from(*count) + FLOOR).ln() as f32;
-        let least = (0..NODES).map(cost).fold(f32::INFINITY, f32::min);
+    let of_group = |tally: &Tally| {
+        if tally.pixels == 0.0 {
+            return 0.0;
+        }
+        let misfit = tally.misfit();
+        let least = misfit.iter().copied().fold(f32::INFINITY, f32::min);
         // Nodes are evenly spaced in ln r: each stands for a range of r as wide as r.
-        let excluded: f32 = (0..NODES).filter(|&k| cost(k) > least + CLEARLY_WORSE).map(node).sum();
-        if *count == 0 { 0.0 } else { excluded / width * *count as f32 / (*count as f32 + half_believed) }
+        let excluded: f32 = (0..NODES).filter(|&k| misfit[k] > least + CLEARLY_WORSE).map(node).sum();
+        excluded / width * tally.pixels as f32 / (tally.pixels as f32 + half_believed)
     };
-    sums(evidence, group, groups).par_iter().map(of_group).collect()
+    tallies(evidence, group, groups).par_iter().map(of_group).collect()
 }
 
-/// Σ cost at each node, and the number of pixels, of every group.
-fn sums(evidence: &Evidence, group: &[u32], groups: usize) -> Vec<([f64; NODES], u32)> {
-    let mut sums = vec![([0.0f64; NODES], 0u32); groups];
-    for (cost, group) in evidence.cost.iter().zip(group) {
-        if *group != NONE {
-            let (sum, count) = &mut sums[*group as usize];
-            sum.iter_mut().zip(cost).for_each(|(sum, c)| *sum += c.to_f64());
-            *count += 1;
-        }
+/// What the pixels of every group say.
+fn tallies(evidence: &Evidence, group: &[u32], groups: usize) -> Vec<Tally> {
+    let mut tallies = vec![Tally::default(); groups];
+    for (pixel, group) in group.iter().enumerate().filter(|(_, group)| **group != NONE) {
+        tallies[*group as usize].add(evidence, pixel);
     }
-    sums
+    tallies
 }

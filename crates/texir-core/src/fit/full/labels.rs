@@ -71,7 +71,7 @@ pub fn witnesses(
 }
 
 /// The votes of all views; empty while nobody voted.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub struct Votes(Vec<Ballot>);
 
 /// Labels of a texel with the weight of their votes, 0 for none; more labels than fit are dropped, the weakest first.
@@ -108,21 +108,16 @@ impl Votes {
         });
     }
 
-    /// Whether there is any vote.
-    pub fn is_empty(&self) -> bool {
-        self.0.iter().all(|ballot| ballot.winner().is_none())
-    }
-
-    /// The label of every texel; `None` where there is no vote around. Texels are `size` wide, metres.
-    pub fn labels(&self, atlas: &Atlas, adjacency: &Adjacency, size: f32) -> Vec<Option<u16>> {
-        if self.0.is_empty() {
+    /// The label of every texel; `None` where there is no vote around.
+    pub fn count(self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency) -> Vec<Option<u16>> {
+        let Self(mut votes) = self;
+        if votes.is_empty() {
             return vec![None; atlas.texels.len()];
         }
         let facing = |a: u32, b: u32| {
             Vec3::from(atlas.points[a as usize].normal).dot(atlas.points[b as usize].normal.into()) >= SAME_NORMAL
         };
-        let rounds = ((BLUR / size).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize;
-        let mut votes = self.0.clone();
+        let rounds = ((BLUR / atlas.typical_texel(mesh)).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize;
         for _ in 0..rounds {
             let mean = |t: u32| {
                 let own = std::iter::once(t);
@@ -234,7 +229,7 @@ mod tests {
                 seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
                 votes.add(&witnesses, |pixel| labels.data[pixel]);
             }
-            let fused = spread(votes.labels(&atlas, &adjacency, atlas.typical_texel(&scene.mesh)), &adjacency, |_| 0);
+            let fused = spread(votes.count(&scene.mesh, &atlas, &adjacency), &adjacency, |_| 0);
             let all = seen.iter().filter(|seen| **seen).count();
             let right = (0..truth.len()).filter(|&t| seen[t] && fused[t] == truth[t]).count();
             right as f64 / all as f64

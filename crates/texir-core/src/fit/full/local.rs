@@ -1,15 +1,14 @@
 //! Roughness that varies within a surface: worn tracks, wet spots, a polished patch.
 //!
 //! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, a block has the one that
-//! explains its pixels better. Two are believed where they explain the segment clearly better than one: blocks that are free to
-//! take any value follow whatever else is wrong with their pixels.
+//! explains the pixels of it and of those around it better. Two are believed where they explain the segment clearly better
+//! than one: blocks that are free to take any value follow whatever else is wrong with their pixels.
 
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::hierarchy::FLOOR;
-use super::scan::{Evidence, minimum};
+use super::scan::{Evidence, Tally, minimum};
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::LocalSettings;
 use crate::specular_table::NODES;
@@ -33,31 +32,6 @@ pub struct Surface<'a> {
 /// Segment, column and row of a block.
 type Place = (u32, i32, i32);
 
-/// What the pixels of a block say: Σ cost at each node, and how many they are.
-#[derive(Clone, Copy, Default)]
-struct Block {
-    cost: [f64; NODES],
-    pixels: u32,
-}
-
-impl Block {
-    fn add(&mut self, cost: impl Fn(usize) -> f64, pixels: u32) {
-        self.cost.iter_mut().enumerate().for_each(|(k, sum)| *sum += cost(k));
-        self.pixels += pixels;
-    }
-
-    fn sum<'a>(blocks: impl Iterator<Item = &'a Block>) -> Self {
-        let mut sum = Self::default();
-        blocks.for_each(|block| sum.add(|k| block.cost[k], block.pixels));
-        sum
-    }
-
-    /// The roughness that explains the pixels best.
-    fn roughness(&self) -> f32 {
-        minimum(&self.cost.map(|cost| (cost / f64::from(self.pixels) + FLOOR) as f32))
-    }
-}
-
 /// Roughness of every texel from what it is by its segment and colour.
 pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], settings: &LocalSettings) -> Vec<f32> {
     let side = (settings.block / surface.texel_size).round().max(2.0);
@@ -65,13 +39,13 @@ pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], set
         let texel = surface.texels[t] as usize;
         [(texel % surface.width) as f32 / side, (texel / surface.width) as f32 / side]
     };
-    let mut blocks: BTreeMap<Place, Block> = BTreeMap::new();
-    for (&t, cost) in surface.heaviest.iter().zip(&evidence.cost).filter(|(t, _)| **t != NONE) {
+    let mut blocks: BTreeMap<Place, Tally> = BTreeMap::new();
+    for (pixel, &t) in surface.heaviest.iter().enumerate().filter(|(_, t)| **t != NONE) {
         let [x, y] = column_row(t as usize).map(|at| at as i32);
-        blocks.entry((surface.segment[t as usize], x, y)).or_default().add(|k| cost[k].to_f64(), 1);
+        blocks.entry((surface.segment[t as usize], x, y)).or_default().add(evidence, pixel);
     }
-    let blocks: Vec<(Place, Block)> = blocks.into_iter().collect();
-    let segments: Vec<&[(Place, Block)]> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
+    let blocks: Vec<(Place, Tally)> = blocks.into_iter().collect();
+    let segments: Vec<&[(Place, Tally)]> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
     let changes: BTreeMap<Place, f32> =
         segments.into_par_iter().flat_map_iter(|blocks| two_finishes(blocks, surface.whole, settings)).collect();
     // The change is blended between block centres, so that blocks are not seen.
@@ -92,29 +66,38 @@ pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], set
 }
 
 /// By how much the blocks of a segment differ from it, in ln r; nothing where one finish is as good.
-fn two_finishes(blocks: &[(Place, Block)], whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
-    let all = Block::sum(blocks.iter().map(|(_, block)| block));
-    let mean = |cost: f64| cost / f64::from(all.pixels) + FLOOR;
-    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| (smooth, rough)));
-    let of_pair = |(smooth, rough): (usize, usize)| -> f64 {
+///
+/// Two finishes always explain a segment better than one when each block takes what suits it, as noise has two sides. What
+/// counts is therefore how well a block is explained by the finish that the blocks around it ask for, itself left out.
+fn two_finishes(blocks: &[(Place, Tally)], whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
+    let all = Tally::sum(blocks.iter().map(|(_, block)| block));
+    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| [smooth, rough]));
+    let of_pair = |[smooth, rough]: [usize; 2]| -> f64 {
         blocks.iter().map(|(_, block)| block.cost[smooth].min(block.cost[rough])).sum()
     };
-    let one = all.cost.iter().copied().fold(f64::INFINITY, f64::min);
     let best = pairs.map(|pair| (of_pair(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((two, (smooth, rough))) = best else { return Vec::new() };
-    if (mean(one) / mean(two)).ln() < f64::from(settings.gain) {
-        return Vec::new();
-    }
-    let is_smooth = |block: &Block| block.cost[smooth] < block.cost[rough];
-    let finish = |smooth| Block::sum(blocks.iter().map(|(_, block)| block).filter(|block| is_smooth(block) == smooth));
-    let [rough, smooth] = [false, true].map(finish);
-    if rough.pixels.min(smooth.pixels) < settings.pixels {
-        return Vec::new();
-    }
-    let change = |finish: &Block| {
-        let segment = blocks[0].0.0 as usize;
-        (finish.roughness() / whole[segment]).ln()
+    let (Some((_, pair)), true) = (best, all.pixels > 0.0) else { return Vec::new() };
+    let around = |(segment, x, y): Place| {
+        let at = |dx: i32, dy: i32| blocks.binary_search_by_key(&(segment, x + dx, y + dy), |(place, _)| *place).ok();
+        let sides = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|side| *side != (0, 0));
+        Tally::sum(sides.filter_map(|(dx, dy)| at(dx, dy)).map(|i| &blocks[i].1))
     };
-    let [rough, smooth] = [change(&rough), change(&smooth)];
-    blocks.iter().map(|(place, block)| (*place, if is_smooth(block) { smooth } else { rough })).collect()
+    let better = |tally: &Tally| if tally.cost[pair[0]] < tally.cost[pair[1]] { pair[0] } else { pair[1] };
+    let one = all.cost.iter().copied().fold(f64::INFINITY, f64::min);
+    let predicted: f64 = blocks.iter().map(|(place, block)| block.cost[better(&around(*place))]).sum();
+    if all.ln_mean(one) - all.ln_mean(predicted) < settings.gain {
+        return Vec::new();
+    }
+    let chosen: Vec<usize> =
+        blocks.iter().map(|(place, block)| better(&Tally::sum([block, &around(*place)].into_iter()))).collect();
+    let of =
+        |node: usize| Tally::sum(blocks.iter().zip(&chosen).filter(|(_, c)| **c == node).map(|((_, block), _)| block));
+    let finishes = pair.map(of);
+    if finishes.iter().any(|finish| finish.pixels < f64::from(settings.pixels)) {
+        return Vec::new();
+    }
+    let change = |finish: &Tally| (minimum(&finish.misfit()) / whole[blocks[0].0.0 as usize]).ln();
+    let [smooth, rough] = [change(&finishes[0]), change(&finishes[1])];
+    let changes = chosen.iter().map(|node| if *node == pair[0] { smooth } else { rough });
+    blocks.iter().map(|(place, _)| *place).zip(changes).collect()
 }

@@ -40,8 +40,9 @@ pub fn fit(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
-    let Ground { scene, atlas, emitters, seed, checkpoints, .. } = *ground;
-    let seen = Observer { scene, atlas, emitters, settings, seed, checkpoints }.observe(backend, training, progress)?;
+    let Ground { scene, atlas, adjacency, emitters, seed, checkpoints, .. } = *ground;
+    let observer = Observer { scene, atlas, adjacency, emitters, settings, seed, checkpoints };
+    let seen = observer.observe(backend, training, progress)?;
     recover(ground, &seen, settings, progress)
 }
 

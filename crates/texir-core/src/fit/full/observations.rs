@@ -11,6 +11,7 @@ use crate::backend::{Backend, ShadePoint};
 use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
+use crate::fit::adjacency::Adjacency;
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
@@ -18,6 +19,9 @@ use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA};
 use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
+
+/// The smallest n·v that areas are told at.
+const GRAZING: f32 = 0.05;
 
 /// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked, or see a light source
 /// even in part are left out. Lists are per pixel.
@@ -27,6 +31,8 @@ pub struct Observations {
     pub radiance: Vec<Vec3A>,
     /// n·v.
     pub cosine: Vec<f32>,
+    /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
+    pub area: Vec<f32>,
     /// Specular radiance by roughness, of blocks of pixels;
     pub curves: Vec<Curve>,
     /// which of them each pixel is part of.
@@ -35,10 +41,10 @@ pub struct Observations {
     pub rows: Rows,
     /// The transpose of `rows`: by texel, the pixels that see it.
     pub columns: Rows,
-    /// Semantic classes, by texel.
-    pub class: Votes,
-    /// Rooms as the capture names them, by texel.
-    pub room: Votes,
+    /// Semantic class of each texel, as the views voted; `None` where there is no vote around.
+    pub class: Vec<Option<u16>>,
+    /// Room of each texel as the capture names them, likewise.
+    pub room: Vec<Option<u16>>,
     /// Number of pixels of each view, in order.
     pub views: Vec<usize>,
 }
@@ -66,6 +72,8 @@ pub struct Observer<'a> {
     pub scene: &'a Scene,
     /// Its texels.
     pub atlas: &'a Atlas,
+    /// Which of them are neighbours.
+    pub adjacency: &'a Adjacency,
     /// Texels that are light sources.
     pub emitters: &'a Mask,
     /// Sample counts.
@@ -84,10 +92,12 @@ impl Observer<'_> {
         progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
+        let mut votes = [Votes::default(), Votes::default()];
         for view in views {
-            self.observe_one(backend, view, &index, &mut all, progress)?;
+            self.observe_one(backend, view, &index, (&mut all, &mut votes), progress)?;
         }
         progress.finish();
+        [all.class, all.room] = votes.map(|votes| votes.count(&self.scene.mesh, self.atlas, self.adjacency));
         if all.is_empty() {
             return Err(Error::invalid(
                 "no pixel of a training view shows a surface that is not a light source: check the cameras against the \
@@ -103,7 +113,7 @@ impl Observer<'_> {
         backend: &mut dyn Backend,
         view: &View,
         index: &TexelIndex,
-        all: &mut Observations,
+        (all, [class, room]): (&mut Observations, &mut [Votes; 2]),
         progress: &dyn Progress,
     ) -> Result<()> {
         let mesh = &self.scene.mesh;
@@ -147,9 +157,11 @@ impl Observer<'_> {
             let cosine = points.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32;
             let [first, ..] = points;
             let (position, normal) = (Vec3::from(first.position), Vec3::from(first.normal));
-            (cosine, Patch { position, normal, class: label(&classes, pixel) })
+            let distance = position.distance(view.camera.position());
+            let area = view.camera.solid_angle(pixel) * distance * distance / cosine.max(GRAZING);
+            ((cosine, area), Patch { position, normal, class: label(&classes, pixel) })
         };
-        let (cosine, patches): (Vec<f32>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
+        let (shown, patches): (Vec<(f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
         let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
         let Blocks { of, corners } =
             blocks::share(&indices, &patches, view.camera.width, self.settings.block_edge(&view.camera));
@@ -165,7 +177,8 @@ impl Observer<'_> {
         })?);
         progress.advance(skipped as u64 * u64::from(sampling.rays()));
         all.block.extend(of.iter().map(|block| first + block));
-        all.cosine.extend(cosine);
+        all.cosine.extend(shown.iter().map(|(cosine, _)| cosine));
+        all.area.extend(shown.iter().map(|(_, area)| area));
         for (pixel, taps) in &pixels {
             all.radiance.push(Vec3A::from(image.data[*pixel]));
             all.rows.taps.extend(taps);
@@ -174,9 +187,9 @@ impl Observer<'_> {
         all.views.push(pixels.len());
         if classes.is_some() || rooms.is_some() || view.room_id.is_some() {
             let witnesses = witnesses(backend, mesh, self.atlas, view, mask.as_ref())?;
-            all.class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
+            class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
             let of_view = view.room_id.unwrap_or(0);
-            all.room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
+            room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
         }
         Ok(())
     }

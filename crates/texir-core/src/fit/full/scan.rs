@@ -20,6 +20,8 @@ pub struct Evidence {
     pub segment: Vec<u32>,
     /// Per pixel and node: ln(1 + (e/2σ)²), e without what the segment's grazing term explains.
     pub cost: Vec<[f16; NODES]>,
+    /// How much of a say each pixel has, 1 on average.
+    pub say: Vec<f32>,
 }
 
 impl Evidence {
@@ -29,6 +31,46 @@ impl Evidence {
         let costs = self.cost.iter().zip(&self.segment).filter(|(_, s)| **s != NONE);
         let (sum, count) = costs.fold((0.0, 0u64), |(sum, n), (c, s)| (sum + c[nodes[*s as usize]].to_f64(), n + 1));
         sum / count.max(1) as f64
+    }
+}
+
+/// Cost below which nothing counts as explained better: images and models are not that exact.
+const FLOOR: f64 = 2e-3;
+
+/// What several pixels say together.
+#[derive(Clone, Copy, Default)]
+pub struct Tally {
+    /// Σ of their costs at each node, by their say.
+    pub cost: [f64; NODES],
+    /// Σ of their say: how many pixels they are worth.
+    pub pixels: f64,
+}
+
+impl Tally {
+    /// Adds a pixel.
+    pub fn add(&mut self, evidence: &Evidence, pixel: usize) {
+        let say = f64::from(evidence.say[pixel]);
+        self.cost.iter_mut().zip(&evidence.cost[pixel]).for_each(|(sum, cost)| *sum += say * cost.to_f64());
+        self.pixels += say;
+    }
+
+    /// What all of them say.
+    pub fn sum<'a>(tallies: impl Iterator<Item = &'a Self>) -> Self {
+        tallies.fold(Self::default(), |sum, tally| Self {
+            cost: std::array::from_fn(|k| sum.cost[k] + tally.cost[k]),
+            pixels: sum.pixels + tally.pixels,
+        })
+    }
+
+    /// The logarithm of the mean of a sum of costs.
+    pub fn ln_mean(&self, cost: f64) -> f32 {
+        (cost / self.pixels + FLOOR).ln() as f32
+    }
+
+    /// The logarithm of the mean cost at each node: the negative profile log-likelihood, per pixel, of residuals whose size is
+    /// not known beforehand.
+    pub fn misfit(&self) -> [f32; NODES] {
+        self.cost.map(|cost| self.ln_mean(cost))
     }
 }
 
@@ -71,7 +113,7 @@ pub fn scan(
         progress.advance(1);
     }
     progress.finish();
-    Ok(Evidence { segment, cost })
+    Ok(Evidence { segment, cost, say: say(&problem.seen.area) })
 }
 
 /// The one segment that a pixel sees, at a cosine above `min_cosine`; [`NONE`] otherwise.
@@ -85,6 +127,15 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
             if problem.seen.cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
         })
         .collect()
+}
+
+/// How much of a say pixels have that show these areas: it grows with the root of the area, and is 1 on average. Whoever is
+/// near has many pixels on a surface, all with the same systematic errors: what this view sees reflected, and an albedo that
+/// no other view contradicts.
+pub(super) fn say(area: &[f32]) -> Vec<f32> {
+    let root: Vec<f32> = area.par_iter().map(|area| area.sqrt()).collect();
+    let mean = root.iter().copied().map(f64::from).sum::<f64>() / root.len().max(1) as f64;
+    root.into_par_iter().map(|root| (f64::from(root) / mean) as f32).collect()
 }
 
 /// (1 − n·v)⁵: how Fresnel terms grow towards grazing angles.

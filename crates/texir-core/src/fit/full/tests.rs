@@ -90,6 +90,7 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
                 }; STRATA],
             );
             seen.cosine.push(to_camera.z);
+            seen.area.push(1.0);
             seen.rows.taps.push(Tap { texel: t as u32, weight: 1.0 });
             seen.rows.offsets.push(seen.rows.taps.len() as u32);
         }
@@ -177,7 +178,7 @@ fn least_squares_recovers_albedo_beside_highlights() {
 fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
     let mut cost = [half::f16::ONE; crate::specular_table::NODES];
     cost[8] = half::f16::ZERO;
-    let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost] };
+    let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0] };
     let settled =
         |pull, half_believed| settle(&evidence, &Level { group: &[0], parent: &[0.8, 0.6], pull, half_believed });
     let own = crate::specular_table::node(8);
@@ -194,7 +195,8 @@ fn confidence_is_high_where_costs_rise_and_zero_without_pixels() {
         |depth: f32| std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (node(k) / 0.3).ln().powi(2)));
     let clear: [half::f16; NODES] = parabola(0.05);
     let vague: [half::f16; NODES] = parabola(1e-4);
-    let evidence = super::scan::Evidence { segment: vec![0, 1, NONE], cost: vec![clear, vague, clear] };
+    let segment = vec![0, 1, NONE];
+    let evidence = super::scan::Evidence { segment, cost: vec![clear, vague, clear], say: vec![1.0; 3] };
     let known = confidence(&evidence, &evidence.segment, 3, 0.0);
     assert!(known[0] > 0.7 && known[1] < 0.3 && known[2] == 0.0, "{known:?}");
     let hardly = confidence(&evidence, &evidence.segment, 3, 9.0);
@@ -247,16 +249,18 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
     let (width, texels) = (64u32, (0..64 * 16).collect::<Vec<u32>>());
-    // The left half is smooth, the right half rough; `depth` says how clearly the views tell, beside what nothing explains.
-    let evidence = |depth: f32, rough: f32| Evidence {
+    let halves = |t: u32| t % width < 32;
+    // Smooth here, 0.1, and `rough` there; `depth` says how clearly the views tell, beside what nothing explains.
+    let evidence = |is_smooth: &dyn Fn(u32) -> bool, depth: f32, rough: f32| Evidence {
         segment: vec![0; texels.len()],
         cost: texels
             .iter()
-            .map(|t| {
-                let truth: f32 = if t % width < 32 { 0.1 } else { rough };
+            .map(|&t| {
+                let truth: f32 = if is_smooth(t) { 0.1 } else { rough };
                 std::array::from_fn(|k| half::f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
             })
             .collect::<Vec<[half::f16; NODES]>>(),
+        say: vec![1.0; texels.len()],
     };
     let (segment, whole) = (vec![0; texels.len()], [0.2]);
     let surface = Surface {
@@ -267,12 +271,39 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
         heaviest: &texels,
         texel_size: 0.05,
     };
-    let refined = |depth, rough| refine(&surface, &evidence(depth, rough), &[0.2; 1024], &LocalSettings::default());
-    let clear = refined(1.0, 0.4);
+    let refined = |is_smooth: &dyn Fn(u32) -> bool, depth, rough| {
+        refine(&surface, &evidence(is_smooth, depth, rough), &[0.2; 1024], &LocalSettings::default())
+    };
+    let clear = refined(&halves, 1.0, 0.4);
     assert!((clear[8] - 0.1).abs() < 0.01 && (clear[56] - 0.4).abs() < 0.02, "{} {}", clear[8], clear[56]);
-    // Negative controls: too little difference, and none.
-    assert_eq!(refined(1e-3, 0.4), [0.2; 1024]);
-    assert_eq!(refined(1.0, 0.1), [0.2; 1024]);
+    // Negative controls: too little difference, none, and blocks of which none says what is beside it.
+    assert_eq!(refined(&halves, 1e-3, 0.4), [0.2; 1024]);
+    assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
+    let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6) % 2 == 0;
+    assert_eq!(refined(&scattered, 1.0, 0.4), [0.2; 1024]);
+}
+
+#[test]
+fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
+    use super::scan::{Evidence, say};
+    use crate::specular_table::{NODES, nearest_node, node};
+    // 300 pixels of 1 cm² from beside, three of 100 cm² from afar: as much surface, a tenth of the say.
+    let area: Vec<f32> = (0..303).map(|p| if p < 300 { 1e-4 } else { 1e-2 }).collect();
+    let say = say(&area);
+    assert!((say.iter().sum::<f32>() / 303.0 - 1.0).abs() < 1e-5 && (say[302] / say[0] - 10.0).abs() < 1e-3);
+    // Near ones are told hardly anything by highlights, far ones clearly; in unequal numbers.
+    let cost = |p: usize| -> [half::f16; NODES] {
+        let (truth, depth): (f32, f32) = if p < 300 { (0.8, 0.01) } else { (0.1, 0.3) };
+        std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
+    };
+    let settled = |say: Vec<f32>| {
+        let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say };
+        let level = Level { group: &evidence.segment, parent: &[0.5], pull: 0.0, half_believed: 0.0 };
+        nearest_node(settle(&evidence, &level)[0])
+    };
+    assert!(settled(say) < nearest_node(0.2));
+    // Negative control: every pixel alike.
+    assert!(settled(vec![1.0; 303]) > nearest_node(0.6));
 }
 
 #[test]
