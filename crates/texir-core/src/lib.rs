@@ -19,6 +19,8 @@ pub mod environment;
 pub mod error;
 pub mod eval;
 pub mod fit;
+#[cfg(test)]
+mod fuzz;
 pub mod glb;
 pub mod hdr;
 pub mod image_io;
