@@ -2,13 +2,13 @@
 //! (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
 //! Base colour is the albedo, metals included: what they reflect is taken for diffuse. Alpha, vertex colours, skins and
-//! morph targets are left out.
+//! morph targets are left out, with a warning.
 
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
 use gltf::khr_lights_punctual::Kind;
-use gltf::{Document, Material, Node};
+use gltf::{Document, Material, Node, Semantic};
 use image::RgbImage;
 use rayon::prelude::*;
 
@@ -73,6 +73,15 @@ pub struct Model {
 pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -> Result<Model> {
     let path = path.as_ref();
     let Contents { document, buffers } = geometry::load(path)?;
+    geometry::left_out(path, &document).iter().for_each(|warning| progress.warn(warning));
+    let tinted = |primitive: &gltf::Primitive| primitive.get(&Semantic::Colors(0)).is_some();
+    let tinted = document.meshes().flat_map(|mesh| mesh.primitives()).filter(tinted).count();
+    if tinted > 0 {
+        progress.warn(&format!(
+            "{}: {tinted} primitives have vertex colours (COLOR_0), which do not tint them",
+            path.display()
+        ));
+    }
     let (mut parts, mut lights) = (Vec::new(), Vec::new());
     geometry::for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {

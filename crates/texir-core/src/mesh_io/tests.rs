@@ -186,6 +186,22 @@ fn gltf_primitives_are_joined_under_their_nodes_transforms() {
 }
 
 #[test]
+fn what_gltf_says_in_vain_is_warned_about() {
+    let MeshFile { mesh, warnings } = read_gltf(false, |document| {
+        document["materials"] = serde_json::json!([{"alphaMode": "MASK"}, {"alphaMode": "OPAQUE"}]);
+        document["meshes"][0]["primitives"][0]["targets"] = serde_json::json!([{"POSITION": 0}]);
+        document["skins"] = serde_json::json!([{"joints": [0]}]);
+        document["nodes"][1]["skin"] = 0.into();
+    })
+    .unwrap();
+    assert_eq!(mesh.triangles.len(), 2);
+    for part in ["1 materials are transparent", "1 primitives have morph targets", "1 nodes have a skin"] {
+        assert!(warnings.iter().any(|w| w.contains("a.gltf") && w.contains(part)), "{part:?} is not in: {warnings:?}");
+    }
+    assert!(!read_gltf(false, |_| {}).unwrap().warnings.iter().any(|w| w.contains("skin") || w.contains("alphaMode")));
+}
+
+#[test]
 fn damaged_gltf_is_an_error_that_says_where() {
     let spoil = |pointer: &'static str, value: serde_json::Value| {
         message(read_gltf(false, |document| *document.pointer_mut(pointer).unwrap() = value))
