@@ -44,3 +44,4 @@ pub mod specular_table;
 pub mod surface;
 pub mod tbl;
 pub mod texture;
+pub mod unwrap;

@@ -12,8 +12,8 @@ use gltf::{Document, Material, Node, Semantic};
 use image::RgbImage;
 use rayon::prelude::*;
 
+use super::Surfaces;
 use super::texture::{Colour, Texture, decoded};
-use super::{Surfaces, unwrap};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake::PADDING;
@@ -114,28 +114,6 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
 }
 
 impl Model {
-    /// Chooses the lightmap's coordinates, and joins the parts.
-    fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<()> {
-        for set in [1, 0] {
-            if self.parts.iter().all(|part| part.has_uvs[set]) {
-                self.mesh = joined(&self.parts, self.parts.iter().map(|part| part.uvs[set].as_slice()));
-                if unwrap::is_lightmap(&self.mesh) {
-                    return Ok(());
-                }
-            }
-        }
-        let (unwrapped, page) = unwrap::unwrap(&self.parts, size, progress)?;
-        self.size = page;
-        for (part, new) in self.parts.iter_mut().zip(&unwrapped) {
-            let from = |values: &[Vec3]| new.source.iter().map(|&i| values[i as usize]).collect();
-            (part.positions, part.normals) = (from(&part.positions), from(&part.normals));
-            part.uvs = [0, 1].map(|set: usize| new.source.iter().map(|&i| part.uvs[set][i as usize]).collect());
-            part.triangles.clone_from(&new.triangles);
-        }
-        self.mesh = joined(&self.parts, unwrapped.iter().map(|new| new.uvs.as_slice()));
-        Ok(())
-    }
-
     /// What the scene emits and reflects at the texels of its lightmap; the mean over a few points of each.
     pub fn surfaces(
         &self,
@@ -224,19 +202,6 @@ impl Part {
         let normals = (0..corners.len()).map(flat).collect();
         Self { normals, ..self }
     }
-}
-
-/// All parts as one mesh, with the lightmap's coordinates of each.
-fn joined<'a>(parts: &[Part], lightmap: impl Iterator<Item = &'a [Vec2]>) -> Mesh {
-    let mut mesh = Mesh::default();
-    for (part, uvs) in parts.iter().zip(lightmap) {
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend(&part.positions);
-        mesh.normals.extend(&part.normals);
-        mesh.uvs.extend(uvs);
-        mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|i| first + i)));
-    }
-    mesh
 }
 
 /// All materials of the document, then glTF's default.
