@@ -19,6 +19,8 @@ pub mod environment;
 pub mod error;
 pub mod eval;
 pub mod fit;
+#[cfg(test)]
+mod fuzz;
 pub mod glb;
 pub mod hdr;
 pub mod image_io;
@@ -42,3 +44,4 @@ pub mod specular_table;
 pub mod surface;
 pub mod tbl;
 pub mod texture;
+pub mod unwrap;

@@ -14,6 +14,9 @@ use crate::mesh::Mesh;
 /// as fast (docs/performance.md).
 const CAREFUL_BUILD: usize = 2_000_000;
 
+/// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
+const FARTHEST: f32 = 1e9;
+
 /// A mesh and its obvhs CWBVH (8-wide, compressed).
 pub struct Scene {
     /// The mesh, in world space.
@@ -23,10 +26,15 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Builds the hierarchy. Errors on a mesh without triangles.
+    /// Builds the hierarchy. Errors on a mesh without triangles, or with vertices that are nowhere near it.
     pub fn new(mesh: Mesh) -> Result<Self> {
         if mesh.triangles.is_empty() {
             return Err(Error::invalid("the mesh has no triangles"));
+        }
+        if let Some(p) = mesh.positions.iter().find(|p| !(p.abs().max_element() <= FARTHEST)) {
+            return Err(Error::invalid(format!(
+                "the mesh has a vertex at {p}; expected coordinates up to {FARTHEST:e} m: is the file damaged, or in other units?"
+            )));
         }
         let triangles: Vec<Triangle> = (0..mesh.triangles.len() as u32)
             .map(|t| {
@@ -41,5 +49,23 @@ impl Scene {
         };
         let bvh = build_cwbvh_from_tris(&triangles, quality, &mut Duration::default());
         Ok(Self { mesh, bvh })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Vec2, Vec3};
+
+    use super::*;
+
+    #[test]
+    fn vertices_that_are_nowhere_are_refused() {
+        for far in [f32::NAN, f32::INFINITY, 1.7e28] {
+            let positions = vec![Vec3::ZERO, Vec3::X, Vec3::new(0.0, 1.0, far)];
+            let mesh =
+                Mesh { positions, normals: vec![Vec3::Z; 3], uvs: vec![Vec2::ZERO; 3], triangles: vec![[0, 1, 2]] };
+            let error = Scene::new(mesh).map(drop).unwrap_err().to_string();
+            assert!(error.contains("a vertex at [0, 1, ") && error.contains("units"), "{error}");
+        }
     }
 }

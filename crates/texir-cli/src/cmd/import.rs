@@ -44,12 +44,15 @@ pub struct SourceArgs {
     /// Length of the source's unit
     #[arg(long, value_name = "METRES")]
     metres_per_unit: Option<f64>,
+    /// Give the mesh a new atlas; without this, only where its own is missing or has overlaps
+    #[arg(long)]
+    unwrap: bool,
 }
 
 impl SourceArgs {
     /// Something is said about the source: it is not to be taken as it is.
     pub fn are_given(&self) -> bool {
-        self.format.is_some() || self.up.is_some() || self.metres_per_unit.is_some()
+        self.format.is_some() || self.up.is_some() || self.metres_per_unit.is_some() || self.unwrap
     }
 
     /// The same for the library.
@@ -59,6 +62,7 @@ impl SourceArgs {
             mesh,
             up: self.up,
             metres_per_unit: self.metres_per_unit,
+            unwrap: self.unwrap,
             ..ImportOptions::default()
         }
     }

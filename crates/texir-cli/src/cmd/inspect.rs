@@ -387,7 +387,7 @@ fn warnings(findings: &Findings) -> Vec<String> {
     }
     if findings.atlas.overlapping > 0.01 {
         warnings.push(format!(
-            "{:.1} % of the covered texels belong to more than one surface: unwrap the mesh without overlaps",
+            "{:.1} % of the covered texels belong to more than one surface: `texir import --unwrap` makes a new atlas",
             100.0 * findings.atlas.overlapping
         ));
     }

@@ -1,7 +1,7 @@
 //! What cannot be used is refused with its file, its field and a way out, before anything is written. What can be repaired
 //! is, loudly.
 
-use serde_json::json;
+use serde_json::{Value, json};
 use texir_core::image_io::{read_rgb, write_png_labels, write_rgb};
 use texir_core::raster::{Labels, Rgb};
 
@@ -83,7 +83,14 @@ fn a_mesh_without_an_atlas() {
             .join(" "),
         _ => line.to_owned(),
     });
-    refused(&capture, &[], &["mesh.obj", "no texture coordinates", "Smart UV Project"]);
+    refused(&capture, &[], &["mesh.obj", "no texture coordinates", "texir import"]);
+    let (source, out) = (capture.path(), capture.out("unwrapped"));
+    let said = succeed(&["import".as_ref(), source.as_os_str(), "-o".as_ref(), out.as_os_str()]);
+    assert!(said.out.contains("the mesh gets a new atlas"), "{}", said.out);
+    let said = succeed(&["inspect".as_ref(), out.as_os_str(), "--json".as_ref()]);
+    let atlas = serde_json::from_str::<Value>(&said.out).unwrap()["atlas"].take();
+    assert_eq!((&atlas["overlapping"], &atlas["outside_triangles"]), (&0.0.into(), &0.into()));
+    assert!(atlas["covered"].as_f64().unwrap() > 0.5, "{atlas}");
 }
 
 #[test]
@@ -176,7 +183,7 @@ fn an_atlas_that_overlaps() {
         let shift = if (5..=8).contains(&coordinate) { 0.25 } else { 0.0 };
         format!("vt {} {v}", u.parse::<f32>().unwrap() - shift)
     });
-    repaired(&capture, &["mesh.obj", "overlap on 9.1 %", "unwrap the mesh anew"]);
+    repaired(&capture, &["mesh.obj", "overlap on 9.1 %", "texir import --unwrap"]);
 }
 
 #[test]

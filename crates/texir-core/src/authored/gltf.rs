@@ -2,18 +2,18 @@
 //! (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
 //! Base colour is the albedo, metals included: what they reflect is taken for diffuse. Alpha, vertex colours, skins and
-//! morph targets are left out.
+//! morph targets are left out, with a warning.
 
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
 use gltf::khr_lights_punctual::Kind;
-use gltf::{Document, Material, Node};
+use gltf::{Document, Material, Node, Semantic};
 use image::RgbImage;
 use rayon::prelude::*;
 
+use super::Surfaces;
 use super::texture::{Colour, Texture, decoded};
-use super::{Surfaces, unwrap};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake::PADDING;
@@ -73,6 +73,15 @@ pub struct Model {
 pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -> Result<Model> {
     let path = path.as_ref();
     let Contents { document, buffers } = geometry::load(path)?;
+    geometry::left_out(path, &document).iter().for_each(|warning| progress.warn(warning));
+    let tinted = |primitive: &gltf::Primitive| primitive.get(&Semantic::Colors(0)).is_some();
+    let tinted = document.meshes().flat_map(|mesh| mesh.primitives()).filter(tinted).count();
+    if tinted > 0 {
+        progress.warn(&format!(
+            "{}: {tinted} primitives have vertex colours (COLOR_0), which do not tint them",
+            path.display()
+        ));
+    }
     let (mut parts, mut lights) = (Vec::new(), Vec::new());
     geometry::for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
@@ -105,28 +114,6 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
 }
 
 impl Model {
-    /// Chooses the lightmap's coordinates, and joins the parts.
-    fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<()> {
-        for set in [1, 0] {
-            if self.parts.iter().all(|part| part.has_uvs[set]) {
-                self.mesh = joined(&self.parts, self.parts.iter().map(|part| part.uvs[set].as_slice()));
-                if unwrap::is_lightmap(&self.mesh) {
-                    return Ok(());
-                }
-            }
-        }
-        let (unwrapped, page) = unwrap::unwrap(&self.parts, size, progress)?;
-        self.size = page;
-        for (part, new) in self.parts.iter_mut().zip(&unwrapped) {
-            let from = |values: &[Vec3]| new.source.iter().map(|&i| values[i as usize]).collect();
-            (part.positions, part.normals) = (from(&part.positions), from(&part.normals));
-            part.uvs = [0, 1].map(|set: usize| new.source.iter().map(|&i| part.uvs[set][i as usize]).collect());
-            part.triangles.clone_from(&new.triangles);
-        }
-        self.mesh = joined(&self.parts, unwrapped.iter().map(|new| new.uvs.as_slice()));
-        Ok(())
-    }
-
     /// What the scene emits and reflects at the texels of its lightmap; the mean over a few points of each.
     pub fn surfaces(
         &self,
@@ -215,19 +202,6 @@ impl Part {
         let normals = (0..corners.len()).map(flat).collect();
         Self { normals, ..self }
     }
-}
-
-/// All parts as one mesh, with the lightmap's coordinates of each.
-fn joined<'a>(parts: &[Part], lightmap: impl Iterator<Item = &'a [Vec2]>) -> Mesh {
-    let mut mesh = Mesh::default();
-    for (part, uvs) in parts.iter().zip(lightmap) {
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend(&part.positions);
-        mesh.normals.extend(&part.normals);
-        mesh.uvs.extend(uvs);
-        mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|i| first + i)));
-    }
-    mesh
 }
 
 /// All materials of the document, then glTF's default.

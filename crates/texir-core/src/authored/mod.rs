@@ -13,9 +13,9 @@ use bytemuck::cast_slice;
 
 mod export;
 mod gltf;
+mod layout;
 mod solve;
 mod texture;
-mod unwrap;
 
 pub use self::export::write_lightmapped_glb;
 pub use self::gltf::{Model, read_gltf};

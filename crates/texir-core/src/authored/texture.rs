@@ -13,6 +13,7 @@ use gltf::texture::{Info, WrappingMode};
 use image::{ImageReader, RgbImage};
 
 use crate::error::{Error, Result};
+use crate::image_io::limits;
 
 /// A factor and the image that it scales.
 pub(super) struct Colour {
@@ -123,7 +124,8 @@ pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Da
 pub(super) fn decoded(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<RgbImage> {
     let bytes = encoded(path, image, buffers)?;
     let failed = |e: &dyn std::fmt::Display| Error::file(path, format!("image {}: {e}", image.index()));
-    let reader = ImageReader::new(Cursor::new(&*bytes)).with_guessed_format().map_err(|e| failed(&e))?;
+    let mut reader = ImageReader::new(Cursor::new(&*bytes)).with_guessed_format().map_err(|e| failed(&e))?;
+    reader.limits(limits(bytes.len() as u64));
     let decoded = reader.decode().map_err(|e| failed(&e))?.into_rgb8();
     if decoded.width() == 0 || decoded.height() == 0 {
         return Err(failed(&"has no pixels"));

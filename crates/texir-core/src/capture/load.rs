@@ -15,9 +15,7 @@ use crate::progress::Progress;
 /// Looked for in this order.
 const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
 /// The atlas is checked for overlaps at this many texels squared.
-const ATLAS_CHECK_SIZE: usize = 1024;
-/// Rounding and shared chart borders explain overlaps up to this fraction of the covered texels.
-const TOLERATED_OVERLAP: f64 = 0.01;
+pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
 /// `roughness_tex.exr`, `emission_tex.exr` where they exist. Views stay on disk; their files are checked to be there, whole
@@ -121,23 +119,8 @@ fn check_light(root: &Path, views: &[View], progress: &dyn Progress) -> Result<(
 }
 
 fn warn_about_atlas(path: &Path, mesh: &Mesh, progress: &dyn Progress) {
-    let report = atlas_report(mesh, ATLAS_CHECK_SIZE);
-    if report.overlapping_fraction > TOLERATED_OVERLAP {
-        progress.warn(&format!(
-            "{}: texture coordinates overlap on {:.1} % of the covered atlas: surfaces that share texels will share one \
-             material and one light; unwrap the mesh anew for an atlas without overlaps",
-            path.display(),
-            100.0 * report.overlapping_fraction
-        ));
-    }
-    if report.outside_unit_square_triangles > 0 {
-        progress.warn(&format!(
-            "{}: {} of {} triangles have texture coordinates outside of [0, 1]: what lies there gets no texels; unwrap \
-             the mesh anew into one atlas",
-            path.display(),
-            report.outside_unit_square_triangles,
-            mesh.triangles.len()
-        ));
+    for problem in atlas_report(mesh, ATLAS_CHECK_SIZE).problems() {
+        progress.warn(&format!("{}: {problem}; `texir import --unwrap` makes a new atlas", path.display()));
     }
 }
 

@@ -133,4 +133,4 @@ pub fn load_cameras(path: impl AsRef<Path>) -> Result<Vec<View>> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -103,6 +103,11 @@ fn load_warned(folder: &TempDir) -> (Result<Capture>, Vec<String>) {
     (result, warnings.all())
 }
 
+/// The capture as loaded; its files are gone.
+pub(crate) fn loaded() -> Capture {
+    load_warned(&capture()).0.unwrap()
+}
+
 fn message(folder: &TempDir) -> String {
     load_warned(folder).0.unwrap_err().to_string()
 }

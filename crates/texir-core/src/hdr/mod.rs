@@ -151,4 +151,4 @@ fn read_samples(shots: &[Shot], positions: &[usize], progress: &dyn Progress) ->
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

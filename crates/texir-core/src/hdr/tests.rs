@@ -82,14 +82,16 @@ fn photo(scene: &Rgb, time: (u32, u32), curve: Curve, random: &mut Random) -> Ve
         (twelve_bits / 4095.0 * 65535.0).round() as u16
     };
     let values: Vec<u16> = scene.data.iter().flatten().map(value).collect();
-    png(
-        &values,
-        &exif_of(&[
-            (Tag::ExposureTime, Value::Rational(vec![Rational { num: time.0, denom: time.1 }])),
-            (Tag::FNumber, Value::Rational(vec![Rational { num: 8, denom: 1 }])),
-            (Tag::PhotographicSensitivity, Value::Short(vec![ISO as u16])),
-        ]),
-    )
+    png(&values, &exif(time))
+}
+
+/// What an exposure is read from.
+pub(crate) fn exif(time: (u32, u32)) -> Vec<u8> {
+    exif_of(&[
+        (Tag::ExposureTime, Value::Rational(vec![Rational { num: time.0, denom: time.1 }])),
+        (Tag::FNumber, Value::Rational(vec![Rational { num: 8, denom: 1 }])),
+        (Tag::PhotographicSensitivity, Value::Short(vec![ISO as u16])),
+    ])
 }
 
 fn exif_of(fields: &[(Tag, Value)]) -> Vec<u8> {

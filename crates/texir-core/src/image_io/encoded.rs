@@ -1,13 +1,11 @@
 //! 8 and 16-bit images of photo programs: values that encode light by some curve, clipped at both ends.
 
-use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 use std::str::FromStr;
 
-use image::{ColorType, DynamicImage, ImageDecoder, ImageReader};
+use image::{ColorType, DynamicImage, ImageDecoder};
 
-use super::{Format, cannot_read, format_of, read_size};
+use super::{Format, cannot_read, format_of, read_size, reader};
 use crate::error::{Error, Result};
 use crate::raster::{Mask, Raster, Rgb};
 
@@ -80,15 +78,11 @@ pub fn is_encoded(path: impl AsRef<Path>) -> Result<bool> {
     Ok(match format_of(path)? {
         Format::Png | Format::Jpeg => true,
         Format::OpenExr | Format::RadianceHdr => false,
-        Format::Tiff => {
-            let decoder = reader(path)?.into_decoder().map_err(|e| cannot_read(path, e))?;
+        format @ Format::Tiff => {
+            let decoder = reader(path, format)?.into_decoder().map_err(|e| cannot_read(path, e))?;
             !matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F)
         }
     })
-}
-
-fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>> {
-    ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| cannot_read(path, e))
 }
 
 /// Reads PNG, JPEG or TIFF of 8 or 16 bits per channel.
@@ -98,7 +92,7 @@ pub fn read_encoded(path: impl AsRef<Path>) -> Result<Encoded> {
     if !is_encoded(path)? {
         return Err(Error::file(path, "holds linear floats; expected PNG, JPEG or TIFF of 8 or 16 bits per channel"));
     }
-    let decoded = reader(path)?.decode().map_err(|e| cannot_read(path, e))?;
+    let decoded = reader(path, format_of(path)?)?.decode().map_err(|e| cannot_read(path, e))?;
     let bits = match decoded {
         DynamicImage::ImageLuma8(_) | DynamicImage::ImageLumaA8(_) => 8,
         DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) => 8,

@@ -13,7 +13,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 pub use self::encoded::{Encoded, TransferCurve, is_encoded, read_encoded};
 pub use self::exr::{write_gray, write_rgb};
@@ -30,6 +30,9 @@ const MAX_PIXELS: usize = 1 << 28;
 /// An image has at most this many pixels for each byte of its file (a one-bit PNG of one colour comes to half of that): a
 /// small damaged file must not ask for the memory of a large one.
 const MAX_PIXELS_PER_BYTE: usize = 1 << 14;
+
+/// Of a pixel: four channels of 32 bits.
+const MAX_BYTES_PER_PIXEL: usize = 16;
 
 /// What a file's first bytes say it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,20 +80,37 @@ fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
     }
 }
 
+/// What decoding an image of so many bytes may allocate at once.
+pub(crate) fn limits(bytes: u64) -> Limits {
+    let most = |pixels: usize| (pixels * MAX_BYTES_PER_PIXEL) as u64;
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(bytes.saturating_mul(most(MAX_PIXELS_PER_BYTE)).min(most(MAX_PIXELS)));
+    limits
+}
+
+/// The general decoder, for all formats but OpenEXR.
+fn reader(path: &Path, format: Format) -> Result<ImageReader<BufReader<File>>> {
+    let file = File::open(path).map_err(|e| cannot_read(path, e))?;
+    let bytes = file.metadata().map_err(|e| cannot_read(path, e))?.len();
+    let format = match format {
+        Format::RadianceHdr => ImageFormat::Hdr,
+        Format::Tiff => ImageFormat::Tiff,
+        Format::Jpeg => ImageFormat::Jpeg,
+        Format::Png => ImageFormat::Png,
+        Format::OpenExr => ImageFormat::OpenExr,
+    };
+    let mut reader = ImageReader::with_format(BufReader::new(file), format);
+    reader.limits(limits(bytes));
+    Ok(reader)
+}
+
 /// `(width, height)` from the file's header alone. For OpenEXR the display window counts.
 pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
     let path = path.as_ref();
     let (width, height) = match format_of(path)? {
         Format::OpenExr => exr::size(path)?,
         format => {
-            let mut reader = ImageReader::open(path).map_err(|e| cannot_read(path, e))?;
-            reader.set_format(match format {
-                Format::RadianceHdr => ImageFormat::Hdr,
-                Format::Tiff => ImageFormat::Tiff,
-                Format::Jpeg => ImageFormat::Jpeg,
-                Format::Png | Format::OpenExr => ImageFormat::Png,
-            });
-            let (width, height) = reader.into_dimensions().map_err(|e| cannot_read(path, e))?;
+            let (width, height) = reader(path, format)?.into_dimensions().map_err(|e| cannot_read(path, e))?;
             (width as usize, height as usize)
         }
     };
@@ -102,14 +122,10 @@ pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
 /// looking through a whole capture costs little more than reading it from the disk.
 pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
+    read_size(path)?;
     let whole = match format_of(path)? {
         Format::OpenExr => exr::check_whole(path),
-        _ => ImageReader::open(path)
-            .and_then(ImageReader::with_guessed_format)
-            .map_err(|e| cannot_read(path, e))?
-            .decode()
-            .map(drop)
-            .map_err(|e| e.to_string()),
+        format => reader(path, format)?.decode().map(drop).map_err(|e| e.to_string()),
     };
     whole.map_err(|e| Error::file(path, format!("is damaged or cut short ({e}); copy or export it again")))
 }
@@ -173,8 +189,7 @@ pub fn read_colors(path: impl AsRef<Path>) -> Result<Option<Raster<[u8; 3]>>> {
     if format_of(path)? != Format::Png || !png::is_colored(path)? {
         return Ok(None);
     }
-    let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
-    let decoded = ImageReader::with_format(file, ImageFormat::Png).decode().map_err(|e| cannot_read(path, e))?;
+    let decoded = reader(path, Format::Png)?.decode().map_err(|e| cannot_read(path, e))?;
     let rgb = decoded.into_rgb8();
     let (width, height) = (rgb.width() as usize, rgb.height() as usize);
     Raster::new(width, height, rgb.pixels().map(|p| p.0).collect()).map(Some)
@@ -186,9 +201,7 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
     read_size(path)?;
     match format_of(path)? {
         Format::Png => {
-            let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
-            let decoded =
-                ImageReader::with_format(file, ImageFormat::Png).decode().map_err(|e| cannot_read(path, e))?;
+            let decoded = reader(path, Format::Png)?.decode().map_err(|e| cannot_read(path, e))?;
             let rgb = decoded.into_rgb16();
             let (width, height) = (rgb.width() as usize, rgb.height() as usize);
             Raster::new(width, height, rgb.pixels().map(|p| p.0 != [0; 3]).collect())
@@ -212,8 +225,7 @@ fn read_radiance_hdr(path: &Path) -> Result<Rgb> {
 }
 
 fn read_float_tiff(path: &Path) -> Result<Rgb> {
-    let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
-    let decoded = ImageReader::with_format(file, ImageFormat::Tiff).decode().map_err(|e| cannot_read(path, e))?;
+    let decoded = reader(path, Format::Tiff)?.decode().map_err(|e| cannot_read(path, e))?;
     if !matches!(decoded, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
         return Err(Error::file(
             path,

@@ -7,6 +7,9 @@ use crate::mesh::Mesh;
 /// Atlas coordinates may leave the unit square by this much: rounding, not a tiled texture.
 const UNIT_SQUARE_SLACK: f32 = 1e-4;
 
+/// Rounding and shared chart borders explain overlaps up to this fraction of the covered texels.
+const TOLERATED_OVERLAP: f64 = 0.01;
+
 /// How a mesh uses its atlas.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtlasReport {
@@ -16,6 +19,27 @@ pub struct AtlasReport {
     pub overlapping_fraction: f64,
     /// Triangles with a corner outside of [0, 1]².
     pub outside_unit_square_triangles: usize,
+}
+
+impl AtlasReport {
+    /// What is wrong with the atlas, in sentences for the user; empty where every surface has a place of its own.
+    pub fn problems(&self) -> Vec<String> {
+        let mut problems = Vec::new();
+        if self.overlapping_fraction > TOLERATED_OVERLAP {
+            problems.push(format!(
+                "texture coordinates overlap on {:.1} % of the covered atlas: surfaces that share texels would share one \
+                 material and one light",
+                100.0 * self.overlapping_fraction
+            ));
+        }
+        if self.outside_unit_square_triangles > 0 {
+            problems.push(format!(
+                "{} triangles have texture coordinates outside of [0, 1]: what lies there would get no texels",
+                self.outside_unit_square_triangles
+            ));
+        }
+        problems
+    }
 }
 
 /// Rasterises the atlas at `size`² texels.

@@ -6,6 +6,7 @@ use std::path::Path;
 use glam::{Mat4, Vec2, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::Data;
+use gltf::material::AlphaMode;
 use gltf::mesh::Mode;
 use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic};
 use gltf_json::validation::Checked;
@@ -87,7 +88,7 @@ pub(crate) fn for_each_node(
 
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
     let Contents { document, buffers } = load(path)?;
-    let mut raw = RawMesh::default();
+    let mut raw = RawMesh { warnings: left_out(path, &document), ..RawMesh::default() };
     for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             let place = format!("primitive {} of node {}", primitive.index(), node.index());
@@ -119,6 +120,29 @@ pub(crate) struct Surface {
 /// What to tell the user of a primitive of points or lines.
 pub(crate) fn no_surface(path: &Path, place: &str, primitive: &Primitive) -> String {
     format!("{}: {place} is {:?}, no surface, and is left out", path.display(), primitive.mode())
+}
+
+/// What the file says of its surfaces' shape that is not taken into account, in sentences for the user.
+pub(crate) fn left_out(path: &Path, document: &Document) -> Vec<String> {
+    let primitives = document.meshes().flat_map(|mesh| mesh.primitives());
+    [
+        (
+            document.materials().filter(|material| material.alpha_mode() != AlphaMode::Opaque).count(),
+            "materials are transparent in places (alphaMode): their surfaces count as opaque everywhere",
+        ),
+        (
+            primitives.filter(|primitive| primitive.morph_targets().next().is_some()).count(),
+            "primitives have morph targets: they keep the shape that they have without them",
+        ),
+        (
+            document.nodes().filter(|node| node.skin().is_some()).count(),
+            "nodes have a skin: their meshes keep the shape in which they were bound",
+        ),
+    ]
+    .into_iter()
+    .filter(|(count, _)| *count > 0)
+    .map(|(count, what)| format!("{}: {count} {what}", path.display()))
+    .collect()
 }
 
 /// Reads a primitive of triangles; `None` for points and lines.

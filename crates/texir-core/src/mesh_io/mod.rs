@@ -39,6 +39,23 @@ struct RawMesh {
 /// in doubt is an error: positions that are not finite, indices out of range, vertices without atlas coordinates.
 pub fn read_mesh(path: impl AsRef<Path>) -> Result<MeshFile> {
     let path = path.as_ref();
+    let (file, unplaced) = read_surface(path)?;
+    if unplaced > 0 {
+        return Err(Error::file(
+            path,
+            format!(
+                "{unplaced} vertices have no texture coordinates, or none that are finite; expected an atlas: every \
+                 surface at a place of its own in [0, 1]². `texir import` unwraps such meshes"
+            ),
+        ));
+    }
+    Ok(file)
+}
+
+/// [`read_mesh`] for surfaces that may yet be unwrapped: how many of the file's vertices have no atlas coordinates comes
+/// along; those are at (0, 0).
+pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
+    let path = path.as_ref();
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let raw = match extension.as_str() {
         "obj" => obj::read(path)?,
@@ -46,7 +63,9 @@ pub fn read_mesh(path: impl AsRef<Path>) -> Result<MeshFile> {
         "glb" | "gltf" => gltf::read(path)?,
         _ => return Err(Error::file(path, "is no mesh that texir knows; expected .obj, .ply, .glb or .gltf")),
     };
-    check(path, raw)
+    let placed = |uv: &Option<Vec2>| uv.is_some_and(|uv| uv.is_finite());
+    let unplaced = raw.uvs.iter().filter(|uv| !placed(uv)).count();
+    Ok((check(path, raw)?, unplaced))
 }
 
 fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
@@ -67,7 +86,7 @@ fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
             format!("triangle {t} uses vertices {:?}; expected indices below {}", triangles[t], positions.len()),
         ));
     }
-    let uvs = atlas_coordinates(path, uvs)?;
+    let uvs = uvs.into_iter().map(|uv| uv.filter(|uv| uv.is_finite()).unwrap_or_default()).collect();
 
     let before = triangles.len();
     triangles.retain(|t| {
@@ -99,27 +118,6 @@ fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
         ));
     }
     Ok(MeshFile { mesh, warnings })
-}
-
-fn atlas_coordinates(path: &Path, uvs: Vec<Option<Vec2>>) -> Result<Vec<Vec2>> {
-    let missing = uvs.iter().filter(|uv| uv.is_none()).count();
-    if missing > 0 {
-        return Err(Error::file(
-            path,
-            format!(
-                "{missing} of {} vertices have no texture coordinates; expected an atlas: every surface at a place of \
-                 its own in [0, 1]². This version does not unwrap: do it first, e.g. in Blender with UV > Smart UV Project",
-                uvs.len()
-            ),
-        ));
-    }
-    let uvs: Vec<Vec2> = uvs.into_iter().flatten().collect();
-    match uvs.iter().position(|uv| !uv.is_finite()) {
-        Some(i) => {
-            Err(Error::file(path, format!("vertex {i} has texture coordinates {}; expected finite ones", uvs[i])))
-        }
-        None => Ok(uvs),
-    }
 }
 
 /// Gives every triangle with a normal missing three vertices of its own with the face's normal; returns their number.

@@ -26,13 +26,9 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
         raw.positions.extend(mesh.positions.chunks_exact(3).map(Vec3::from_slice));
         if mesh.texcoords.len() == 2 * vertices {
             raw.uvs.extend(mesh.texcoords.chunks_exact(2).map(|uv| Some(Vec2::new(uv[0], 1.0 - uv[1]))));
-        } else if mesh.texcoords.is_empty() {
-            raw.uvs.extend(std::iter::repeat_n(None, vertices));
         } else {
-            return Err(Error::file(
-                path,
-                format!("object {:?} has faces with and without texture coordinates; expected them on all", model.name),
-            ));
+            // None at all, or faces with and without them: the parser does not tell which.
+            raw.uvs.extend(std::iter::repeat_n(None, vertices));
         }
         if mesh.normals.len() == 3 * vertices {
             raw.normals.extend(mesh.normals.chunks_exact(3).map(|n| Some(Vec3::from_slice(n))));

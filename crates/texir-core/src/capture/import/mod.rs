@@ -4,6 +4,7 @@
 //! A format's module says what is in its files, in its own frame and units. Everything after that is common: what is up
 //! and how long a metre is (`frame`), lenses (`lens`), and the capture folder (`write`).
 
+mod atlas;
 mod blender;
 mod colmap;
 pub(super) mod files;
@@ -27,7 +28,7 @@ use super::{Capture, View};
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
 use crate::mesh::Mesh;
-use crate::mesh_io::{MeshFile, read_mesh};
+use crate::mesh_io::{MeshFile, read_surface};
 use crate::progress::Progress;
 
 /// One capture format of another program.
@@ -100,6 +101,8 @@ pub struct ImportOptions {
     pub metres_per_unit: Option<f64>,
     /// How 8 and 16-bit images encode linear light; without it they are refused.
     pub curve: Option<TransferCurve>,
+    /// Give the mesh a new atlas even if its own is one.
+    pub unwrap: bool,
     /// Link to images that need no change, instead of copying them.
     pub link: bool,
 }
@@ -163,13 +166,18 @@ pub fn read(folder: impl AsRef<Path>, options: &ImportOptions, progress: &dyn Pr
     let mesh_path = options.mesh.clone().or_else(|| source.mesh.clone()).ok_or_else(|| {
         Error::file(folder, "has no mesh, or several; expected mesh.obj, .glb or .ply, or one named with --mesh")
     })?;
-    let MeshFile { mesh, warnings } = read_mesh(&mesh_path)?;
+    let (MeshFile { mesh, warnings }, unplaced) = read_surface(&mesh_path)?;
     warnings.iter().for_each(|w| progress.warn(w));
     let Source { mut shots, textures, mut assumed, .. } = source.clone();
     let frame = frame::Frame::of(&source, options, &mut assumed)?;
     shots.iter_mut().for_each(|shot| shot.view.camera = frame.place_camera(&shot.view.camera));
     let mesh = frame.place_mesh(mesh);
-    Ok(Import { root: folder.to_owned(), format: importer.name(), shots, mesh, mesh_path, textures, assumed })
+    let mut import =
+        Import { root: folder.to_owned(), format: importer.name(), shots, mesh, mesh_path, textures, assumed };
+    if let Some(why) = atlas::lacking(&import, unplaced, options) {
+        atlas::renew(&mut import, &why, progress)?;
+    }
+    Ok(import)
 }
 
 impl Import {

@@ -421,6 +421,50 @@ fn unknown_folders_and_formats_are_named_with_what_is_known() {
     assert_says(&complaint(&folder), &["has no mesh", "--mesh"]);
 }
 
+/// What the reader of the folder assumed, and the problems of the atlas that came out.
+fn unwrapped(folder: &TempDir, options: &ImportOptions) -> (String, Vec<String>) {
+    let read = super::super::read(folder.path(), options, &Silent).unwrap();
+    let corners = |mesh: &Mesh| (0..mesh.triangles.len() as u32).map(|t| mesh.corners(t)).collect::<Vec<_>>();
+    assert_eq!(corners(&read.mesh), corners(&mesh()));
+    (read.assumed.join("\n"), crate::mesh_io::atlas_report(&read.mesh, 1024).problems())
+}
+
+#[test]
+fn meshes_get_an_atlas_where_theirs_is_none() {
+    let folder = colmap(Vec3::Z, false);
+    let path = folder.path().join("mesh.obj");
+    let (given, asked) = (ImportOptions::default(), ImportOptions { unwrap: true, ..ImportOptions::default() });
+    assert!(!unwrapped(&folder, &given).0.contains("new atlas"));
+    assert_says(&unwrapped(&folder, &asked).0, &["new atlas", "2 charts", "as told"]);
+    let text = std::fs::read_to_string(&path).unwrap();
+    for (from, to, why) in
+        [("vt 0.5", "vt 0.0", "overlap on"), ("vt 0.5", "vt 1.5", "2 triangles have texture coordinates outside")]
+    {
+        std::fs::write(&path, text.replace(from, to)).unwrap();
+        let (assumed, problems) = unwrapped(&folder, &given);
+        assert_says(&assumed, &["new atlas", why]);
+        assert!(problems.is_empty(), "{problems:?}");
+    }
+    let without: String =
+        text.lines().filter(|line| !line.starts_with("vt")).map(|line| line.to_owned() + "\n").collect();
+    let without = (1..=8).fold(without, |text, i| text.replace(&format!("{i}/{i}/{i}"), &format!("{i}//{i}")));
+    std::fs::write(&path, without).unwrap();
+    let (assumed, problems) = unwrapped(&folder, &given);
+    assert_says(&assumed, &["8 of its vertices have no texture coordinates"]);
+    assert!(problems.is_empty(), "{problems:?}");
+}
+
+#[test]
+fn textures_do_not_outlive_their_atlas() {
+    let (folder, _) = texir_authors();
+    let with_texture = |options: &ImportOptions| {
+        let read = super::super::read(folder.path(), options, &Silent).unwrap();
+        !read.textures.is_empty()
+    };
+    assert!(with_texture(&ImportOptions::default()));
+    assert!(!with_texture(&ImportOptions { unwrap: true, ..ImportOptions::default() }));
+}
+
 #[test]
 fn encoded_images_need_a_curve() {
     let folder = colmap(Vec3::Z, false);
