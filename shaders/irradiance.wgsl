@@ -3,7 +3,7 @@
 // solid angle (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995).
 //
 // One entry point per technique, so that neither pays for the other's directions. LANES threads share a point, each
-// tracing every LANES-th sample of [first_sample, end_sample); the host bounds a thread's rays, because a CPU driver
+// tracing every LANES-th of a dispatch's samples; the host bounds a thread's rays, because a CPU driver
 // silently ends an invocation after 65,535 loop iterations. The lanes' sums are added in workgroup memory in a fixed tree
 // (a barrier per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine
 // one starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
@@ -42,6 +42,8 @@ struct Gathered {
 @group(1) @binding(0) var<uniform> params: IrradianceParams;
 @group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
 @group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
+// The samples of this dispatch, those of similar directions one after another: lanes that run in step read the same nodes.
+@group(1) @binding(3) var<storage, read> sample_order: array<u32>;
 
 // L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back. What misses the
 // mesh sees the environment, which the light samples never aim at.
@@ -78,6 +80,10 @@ fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
     return Share(item, thread % LANES, item < params.count, point, seed, light_table(point.position, point.normal));
 }
 
+fn sample_count() -> u32 {
+    return params.end_sample - params.first_sample;
+}
+
 var<workgroup> lane_sums: array<vec4f, 64>;
 
 // Adds the lanes' sums; the result is meant for lane 0.
@@ -102,8 +108,8 @@ fn gather_cosine(
     let frame = frame_of(own.point.normal);
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
-    for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(lattice2(params.part * params.cosine_samples + s, offset));
+    for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
+        let local = cosine_direction(lattice2(params.part * params.cosine_samples + sample_order[k], offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z, own.table);
     }
@@ -128,8 +134,8 @@ fn gather_lights(
     let own = share_of(thread, workgroup, workgroups);
     let offset = vec2u(hash2(own.seed, 1u), hash2(own.seed, 2u));
     var sum = vec3f(0.0);
-    for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let light = light_point(own.table, lattice2(params.part * params.light_samples + s, offset));
+    for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
+        let light = light_point(own.table, lattice2(params.part * params.light_samples + sample_order[k], offset));
         let direction = normalize(light.position - own.point.position);
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.

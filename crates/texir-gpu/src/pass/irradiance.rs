@@ -7,6 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
+use texir_core::rng::along_hilbert_curve;
 use texir_core::surface::SurfacePoint;
 
 use crate::batch::{Context, GatherShape, Gathering};
@@ -69,8 +70,14 @@ impl Gathering for Irradiance<'_> {
             seed: self.gather.seed,
             part: self.gather.part,
         });
-        let own =
-            [("params", params.binding()), ("points", batch.points.binding()), ("gathered", batch.gathered.binding())];
+        let order = along_hilbert_curve(samples.clone().collect());
+        let order = ctx.pool.upload(&ctx.gpu, "sample order", &order)?;
+        let own = [
+            ("params", params.binding()),
+            ("points", batch.points.binding()),
+            ("gathered", batch.gathered.binding()),
+            ("sample_order", order.binding()),
+        ];
         let kernel = &self.kernels[technique];
         let groups = kernel
             .bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat())?;
