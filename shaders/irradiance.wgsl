@@ -1,9 +1,9 @@
-// Irradiance gather E = ∫ L cosθ dω (full: cosine and π included) from n_c cosine-distributed directions and n_l points on
-// the lights, combined by the balance heuristic: E = Σ L cosθ / (n_c cosθ/π + n_l p_l), with p_l the lights' density per
-// solid angle (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995).
+// Irradiance gather E = ∫ L cosθ dω (full: cosine and π included) from n_c cosine-distributed directions, n_l points on the
+// lights and n_s directions to the bright sky, combined by the balance heuristic: E = Σ L cosθ / (n_c cosθ/π + n_l p_l +
+// n_s p_s), with p the density per solid angle: p_l on lights, p_s along rays that leave the scene, 0 elsewhere (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995).
 //
 // One entry point per technique, so that neither pays for the other's directions. LANES threads share a point, each
-// tracing every LANES-th sample of [first_sample, end_sample); the host bounds a thread's rays, because a CPU driver
+// tracing every LANES-th of a dispatch's samples; the host bounds a thread's rays, because a CPU driver
 // silently ends an invocation after 65,535 loop iterations. The lanes' sums are added in workgroup memory in a fixed tree
 // (a barrier per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine
 // one starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
@@ -23,12 +23,15 @@ struct IrradianceParams {
     // Samples of this dispatch.
     first_sample: u32,
     end_sample: u32,
-    // Samples of the whole gather, by technique: n_c and n_l.
+    // Samples of the whole gather, by technique: n_c, n_l and n_s.
     cosine_samples: u32,
     light_samples: u32,
+    sky_samples: u32,
     seed: u32,
-    // Which stretch of the sequences: sample 0 is their point part · n_c, or part · n_l.
+    // Which stretch of the sequences: sample 0 is their point part · n_c, part · n_l or part · n_s.
     part: u32,
+    // Rows of the environment with bright pixels.
+    sky_rows: u32,
 }
 
 // What was found at a point.
@@ -42,9 +45,11 @@ struct Gathered {
 @group(1) @binding(0) var<uniform> params: IrradianceParams;
 @group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
 @group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
+// The samples of this dispatch, those of similar directions one after another: lanes that run in step read the same nodes.
+@group(1) @binding(3) var<storage, read> sample_order: array<u32>;
 
-// L cosθ / (n_c cosθ/π + n_l p_l) of a sample in `direction` that met `hit`, and 1 where it met a back. What misses the
-// mesh sees the environment, which the light samples never aim at.
+// L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s) of a sample in `direction` that met `hit`, and 1 where it met a back. What
+// misses the mesh sees the environment.
 // A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks.
 fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) -> vec4f {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
@@ -54,8 +59,13 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
     let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive].per_area > 0.0);
-    let beyond = environment_radiance(direction) / (f32(params.cosine_samples) * INV_PI);
+    let beyond = beyond_mesh(environment_towards(direction), cosine);
     return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
+}
+
+// L cosθ / (n_c cosθ/π + n_s p_s) of what arrives from the environment: radiance, and p_s.
+fn beyond_mesh(seen: vec4f, cosine: f32) -> vec3f {
+    return seen.rgb * (cosine / (f32(params.cosine_samples) * cosine * INV_PI + f32(params.sky_samples) * seen.a));
 }
 
 // The point that a thread works on.
@@ -76,6 +86,10 @@ fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
     let point = points[min(item, params.count - 1u)];
     let seed = hash2(params.seed, point.sequence);
     return Share(item, thread % LANES, item < params.count, point, seed, light_table(point.position, point.normal));
+}
+
+fn sample_count() -> u32 {
+    return params.end_sample - params.first_sample;
 }
 
 var<workgroup> lane_sums: array<vec4f, 64>;
@@ -102,8 +116,8 @@ fn gather_cosine(
     let frame = frame_of(own.point.normal);
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
-    for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let local = cosine_direction(lattice2(params.part * params.cosine_samples + s, offset));
+    for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
+        let local = cosine_direction(lattice2(params.part * params.cosine_samples + sample_order[k], offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z, own.table);
     }
@@ -128,14 +142,38 @@ fn gather_lights(
     let own = share_of(thread, workgroup, workgroups);
     let offset = vec2u(hash2(own.seed, 1u), hash2(own.seed, 2u));
     var sum = vec3f(0.0);
-    for (var s = params.first_sample + own.lane; own.exists && s < params.end_sample; s += LANES) {
-        let light = light_point(own.table, lattice2(params.part * params.light_samples + s, offset));
+    for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
+        let light = light_point(own.table, lattice2(params.part * params.light_samples + sample_order[k], offset));
         let direction = normalize(light.position - own.point.position);
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.
         let hit = closest_hit(own.point.position, direction, select(-1.0, T_FAR, cosine > 0.0));
         if hit.primitive == light.primitive {
             sum += contribution(hit, direction, cosine, own.table).xyz;
+        }
+    }
+    let total = sum_over_lanes(thread, own.lane, vec4f(sum, 0.0)).xyz;
+    if own.exists && own.lane == 0u {
+        gathered[own.item].irradiance += total;
+    }
+}
+
+@compute @workgroup_size(64)
+fn gather_sky(
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let own = share_of(thread, workgroup, workgroups);
+    let offset = vec2u(hash2(own.seed, 5u), hash2(own.seed, 6u));
+    var sum = vec3f(0.0);
+    for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
+        let sky = sky_sample(params.sky_rows, lattice2(params.part * params.sky_samples + sample_order[k], offset));
+        let cosine = dot(own.point.normal, sky.direction);
+        // A negative limit makes the traversal end at once for what is below the horizon.
+        let hit = closest_hit(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0));
+        if hit.primitive == MISS && cosine > 0.0 {
+            sum += beyond_mesh(vec4f(sky.radiance, sky.density), cosine);
         }
     }
     let total = sum_over_lanes(thread, own.lane, vec4f(sum, 0.0)).xyz;

@@ -1,6 +1,7 @@
 // Directions to the lights of the TBL, and the density with which they are drawn; twin of texir-core's light_sampling.rs.
 
 #import bvh
+#import math
 
 struct LightTriangle {
     primitive: u32,
@@ -55,11 +56,6 @@ fn light_table(position: vec3f, normal: vec3f) -> u32 {
         return 0u;
     }
     return light_cells[index] * light_grid.clusters;
-}
-
-// How far u lies within [before, up_to), in [0, 1).
-fn share_below(u: f32, before: f32, up_to: f32) -> f32 {
-    return clamp((u - before) / (up_to - before), 0.0, 0.99999994);
 }
 
 // The first number of u chooses a cluster by the table, what is left of it a triangle of the cluster, and what is left of

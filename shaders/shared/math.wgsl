@@ -1,4 +1,4 @@
-// Constants, trigonometry and thread indices.
+// Constants, trigonometry, shares and thread indices.
 
 const PI: f32 = 3.14159265358979;
 const TAU: f32 = 6.28318530717959;
@@ -18,6 +18,11 @@ fn sincos_turns(v: f32) -> vec2f {
         select(swapped.x, -swapped.x, q >= 2u),
         select(swapped.y, -swapped.y, q == 1u || q == 2u),
     );
+}
+
+// How far u lies within [before, up_to), in [0, 1).
+fn share_below(u: f32, before: f32, up_to: f32) -> f32 {
+    return clamp((u - before) / (up_to - before), 0.0, 0.99999994);
 }
 
 // Index of a workgroup in a dispatch that the host folded into two dimensions (one holds at most 65,535).

@@ -2,7 +2,7 @@
 // the mesh (method section 1).
 
 #import bvh
-#import math
+#import environment
 
 // Atlas coordinates of each primitive's corners, in the hierarchy's order: (a, b), (c, unused).
 @group(0) @binding(2) var<storage, read> triangle_uvs: array<vec4f>;
@@ -22,18 +22,8 @@ fn radiance_at(hit: Intersection) -> vec3f {
     return select(vec3f(0.0), radiance, found);
 }
 
-// What rays see that miss the mesh: an equirectangular panorama, twin of texir-core's environment.rs.
-@group(0) @binding(4) var environment: texture_2d<f32>;
-
-// Radiance arriving from far away along the unit direction: the nearest pixel at u = ½ + atan2(z, x)/2π, v = acos(y)/π.
-fn environment_radiance(direction: vec3f) -> vec3f {
-    let size = textureDimensions(environment);
-    let uv = vec2f(0.5 + atan2(direction.z, direction.x) * (0.5 * INV_PI), acos(clamp(direction.y, -1.0, 1.0)) * INV_PI);
-    return textureLoad(environment, min(vec2u(max(uv, vec2f(0.0)) * vec2f(size)), size - 1u), 0).rgb;
-}
-
 // Radiance arriving at `origin` from the unit `direction`.
 fn incoming_radiance(origin: vec3f, direction: vec3f) -> vec3f {
     let hit = closest_hit(origin, direction, T_FAR);
-    return select(radiance_at(hit), environment_radiance(direction), hit.primitive == MISS);
+    return select(radiance_at(hit), environment_towards(direction).rgb, hit.primitive == MISS);
 }

@@ -4,7 +4,7 @@
 use std::f64::consts::PI;
 
 use glam::Vec3;
-use texir_core::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
+use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient, Sampling, ShadePoint};
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::irradiance;
 use texir_core::cpu::trace::{Exhaustive, Lighting};
@@ -37,12 +37,13 @@ fn points(scene: &Scene) -> Vec<SurfacePoint> {
     (0..40).map(|i| SurfacePoint { sequence: i, ..SurfacePoint::new(&scene.mesh, &at(i), None) }).collect()
 }
 
-/// A sky that brightens towards the zenith and towards one side.
+/// A sky that brightens towards the zenith and towards one side, with a window of other light in it.
 fn sky() -> Environment {
     let (width, height) = (64, 32);
     let pixel = |i: usize| {
         let (u, v) = ((i % width) as f32 / width as f32, (i / width) as f32 / height as f32);
-        [3.0 - 2.0 * v, 1.0 + 0.8 * (6.3 * u).sin(), 0.2 + u]
+        let scale = if (10..13).contains(&(i % width)) && (5..8).contains(&(i / width)) { 30.0 } else { 1.0 };
+        [3.0 - 2.0 * v, 1.0 + 0.8 * (6.3 * u).sin(), 0.2 + u].map(|l| scale * l)
     };
     Environment::new(Rgb::new(width, height, (0..width * height).map(pixel).collect()).unwrap()).unwrap()
 }
@@ -82,7 +83,7 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     }
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
     let lights = scenes::lights(&mut backend, &scene, &radiance);
-    assert!(!lights.is_empty());
+    assert!(!lights.is_empty() && !sky.bright().is_empty());
     backend.set_tbl(&radiance, &lights).unwrap();
     backend.set_environment(Some(&sky)).unwrap();
     let gather = Gather { cosine: 64, light: 32, seed: 5, part: 0 };
@@ -101,6 +102,42 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     let mut turned = sky.radiance().clone();
     turned.data.chunks_exact_mut(64).for_each(|row| row.rotate_left(32));
     assert!(traced.failures(&got, &twin(Some(&Environment::new(turned).unwrap()))).len() > got.len() / 2);
+}
+
+#[test]
+fn a_small_sun_is_found_by_few_rays() {
+    // Four pixels of half a degree in a dim sky: one cosine ray in five thousand meets them.
+    let (width, height) = (720, 360);
+    let (dim, sun) = (0.1f32, 2e5f32);
+    let mut radiance = Rgb::filled(width, height, [dim; 3]);
+    for (x, y) in [(500, 100), (501, 100), (500, 101), (501, 101)] {
+        radiance.data[y * width + x] = [sun; 3];
+    }
+    let sky = Environment::new(radiance).unwrap();
+    let azimuth = 2.0 * PI / width as f64;
+    let towards = |row: f64| (row * PI / height as f64).cos();
+    // ∫ cosθ dω over the sun, θ from the plane's normal +Y.
+    let form = azimuth * (towards(100.0).powi(2) - towards(102.0).powi(2));
+    let expected = PI * f64::from(dim) + f64::from(sun - dim) * form;
+    let gpu = gpu();
+    let off = |lit: &[Gathered]| -> Vec<f64> {
+        lit.iter().map(|g| (f64::from(g.irradiance[0]) / expected - 1.0).abs()).collect()
+    };
+    let scene = ground(false);
+    let points = points(&scene);
+    let backends: [Box<dyn Backend>; 2] =
+        [Box::new(GpuBackend::new(&gpu, &scene).unwrap()), Box::new(CpuBackend::new(&scene))];
+    for mut backend in backends {
+        backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
+        backend.set_environment(Some(&sky)).unwrap();
+        let gather = Gather { cosine: 16, light: 16, seed: 4, part: 0 };
+        let lit = backend.irradiance(&points, gather, &Silent).unwrap();
+        assert!(off(&lit).iter().all(|off| *off < 5e-3), "{}: {:?}", backend.name(), off(&lit));
+        // Negative control: cosine samples alone miss the sun, or meet it far too often.
+        let alone = Gather { cosine: 32, light: 0, ..gather };
+        let lit = backend.irradiance(&points, alone, &Silent).unwrap();
+        assert!(off(&lit).iter().filter(|off| **off > 0.5).count() > points.len() / 2);
+    }
 }
 
 #[test]

@@ -27,6 +27,7 @@ fn every_entry_point_composes_and_validates() {
     let expected = [
         "gather_cosine",
         "gather_lights",
+        "gather_sky",
         "lookup",
         "lookup_vjp",
         "mean_target",

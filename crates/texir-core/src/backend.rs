@@ -32,13 +32,24 @@ pub struct Sampling {
 pub struct Gather {
     /// Cosine-distributed rays per point, at least 1.
     pub cosine: u32,
-    /// Rays per point to the [`Lights`]; 0 leaves them to the cosine samples.
+    /// Rays per point to the [`Lights`] and to the bright pixels of the environment, half of them to each where there are
+    /// both; 0 leaves them to the cosine samples.
     pub light: u32,
     /// Seed of the run; a point draws from the sequences shifted by `hash(seed, sequence)`.
     pub seed: u32,
     /// Which stretch of the sequences: 0 the first `cosine` and `light` points, 1 as many after them, and so on. The mean of
     /// gathers 0 and 1 is the gather of twice as many rays.
     pub part: u32,
+}
+
+impl Gather {
+    /// The rays to lights and those to the bright pixels of the environment, by which of them there are.
+    pub fn light_and_sky(&self, lights: bool, sky: bool) -> [u32; 2] {
+        match (lights, sky) {
+            (true, true) => [self.light - self.light / 2, self.light / 2],
+            (lights, sky) => [u32::from(lights) * self.light, u32::from(sky) * self.light],
+        }
+    }
 }
 
 /// What the gather found at one point.
@@ -230,8 +241,8 @@ pub trait Backend {
     /// nearest point of the nearest such triangle (conservative at chart borders).
     fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>>;
 
-    /// Irradiance gather at every point: cosine-distributed samples and light samples, combined by the balance heuristic;
-    /// unbiased for any split. The backs of lights are black. Advances `progress` by the rays traced.
+    /// Irradiance gather at every point: cosine-distributed samples and samples of lights and bright sky, combined by the
+    /// balance heuristic; unbiased for any split. The backs of lights are black. Advances `progress` by the rays traced.
     fn irradiance(&mut self, points: &[SurfacePoint], gather: Gather, progress: &dyn Progress)
     -> Result<Vec<Gathered>>;
 

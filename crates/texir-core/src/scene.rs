@@ -23,6 +23,19 @@ pub struct Scene {
     pub mesh: Mesh,
     /// The hierarchy; its primitive ids index [`CwBvh::primitive_indices`], which index `mesh.triangles`.
     pub bvh: CwBvh,
+    /// The triangles in the order of the hierarchy's leaves, as rays meet them.
+    pub(crate) primitives: Vec<Primitive>,
+}
+
+/// What a ray needs to know of a triangle.
+#[derive(Clone, Copy)]
+pub(crate) struct Primitive {
+    /// The first corner.
+    pub corner: [f32; 3],
+    /// From it to the second and to the third.
+    pub edges: [[f32; 3]; 2],
+    /// Index in the mesh.
+    pub triangle: u32,
 }
 
 impl Scene {
@@ -48,7 +61,12 @@ impl Scene {
             BvhBuildParams::medium_build()
         };
         let bvh = build_cwbvh_from_tris(&triangles, quality, &mut Duration::default());
-        Ok(Self { mesh, bvh })
+        let primitive = |&triangle: &u32| {
+            let [a, b, c] = mesh.corners(triangle);
+            Primitive { corner: a.to_array(), edges: [(b - a).to_array(), (c - a).to_array()], triangle }
+        };
+        let primitives = bvh.primitive_indices.iter().map(primitive).collect();
+        Ok(Self { mesh, bvh, primitives })
     }
 }
 

@@ -71,7 +71,17 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         (
             "irradiance",
             "IrradianceParams",
-            host!(IrradianceParams { count, first_sample, end_sample, cosine_samples, light_samples, seed, part }),
+            host!(IrradianceParams {
+                count,
+                first_sample,
+                end_sample,
+                cosine_samples,
+                light_samples,
+                sky_samples,
+                seed,
+                part,
+                sky_rows
+            }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),
         (

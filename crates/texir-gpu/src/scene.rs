@@ -76,8 +76,12 @@ pub(crate) struct Geometry {
     nodes: Words,
     triangles: Words,
     triangle_uvs: View,
-    /// What rays see that miss the mesh.
+    /// What rays see that miss the mesh, and the density with which it is sampled.
     environment: wgpu::TextureView,
+    bright_rows: View,
+    bright_pixels: View,
+    /// Rows of the environment with bright pixels; 0 where nothing stands out.
+    pub sky_rows: u32,
 }
 
 impl Geometry {
@@ -99,19 +103,27 @@ impl Geometry {
             let [a, b, c] = mesh.corner_uvs(t);
             uvs.extend([Vec4::new(a.x, a.y, b.x, b.y), Vec4::new(c.x, c.y, 0.0, 0.0)]);
         }
+        let black = Environment::constant([0.0; 3])?;
         Ok(Self {
             nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
             triangles: Words::new(gpu, "triangles", &triangles, place)?,
             triangle_uvs: keep(gpu, "triangle coordinates", &uvs)?,
-            environment: radiance_texture(gpu, "environment", &Rgb::filled(1, 1, [0.0; 3]))?,
+            environment: environment_texture(gpu, &black)?,
+            bright_rows: keep(gpu, "bright rows", &black.bright().rows)?,
+            bright_pixels: keep(gpu, "bright pixels", &black.bright().pixels)?,
+            sky_rows: 0,
         })
     }
 
     /// Puts the scene into an environment.
     pub fn surround(&mut self, gpu: &Gpu, environment: Option<&Environment>) -> Result<()> {
-        let black = Rgb::filled(1, 1, [0.0; 3]);
-        let radiance = environment.map_or(&black, Environment::radiance);
-        self.environment = radiance_texture(gpu, "environment", radiance)?;
+        let black = Environment::constant([0.0; 3])?;
+        let environment = environment.unwrap_or(&black);
+        let bright = environment.bright();
+        self.environment = environment_texture(gpu, environment)?;
+        self.bright_rows = keep(gpu, "bright rows", &bright.rows)?;
+        self.bright_pixels = keep(gpu, "bright pixels", &bright.pixels)?;
+        self.sky_rows = bright.rows.len() as u32;
         Ok(())
     }
 
@@ -126,6 +138,11 @@ impl Geometry {
         let tbl = ("tbl", wgpu::BindingResource::TextureView(&lighting.tbl));
         let environment = ("environment", wgpu::BindingResource::TextureView(&self.environment));
         [nodes, triangles, ("triangle_uvs", self.triangle_uvs.binding()), tbl, environment]
+    }
+
+    /// What passes bind that sample the environment.
+    pub fn sky(&self) -> [(&'static str, wgpu::BindingResource<'_>); 2] {
+        [("bright_rows", self.bright_rows.binding()), ("bright_pixels", self.bright_pixels.binding())]
     }
 }
 
@@ -221,6 +238,21 @@ fn radiance_texture(gpu: &Gpu, name: &str, radiance: &Rgb) -> Result<wgpu::Textu
     texture(gpu, name, radiance.width as u32, radiance.height as u32, |first, count| {
         let texels = &radiance.data[first * radiance.width..(first + count) * radiance.width];
         let rgba: Vec<[f32; 4]> = texels.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
+        bytemuck::cast_slice(&rgba).to_vec()
+    })
+}
+
+/// The panorama, with the density of its pixels.
+fn environment_texture(gpu: &Gpu, environment: &Environment) -> Result<wgpu::TextureView> {
+    let (radiance, density) = (environment.radiance(), &environment.bright().density);
+    texture(gpu, "environment", radiance.width as u32, radiance.height as u32, |first, count| {
+        let pixels = first * radiance.width..(first + count) * radiance.width;
+        let rgba: Vec<[f32; 4]> = pixels
+            .map(|i| {
+                let [r, g, b] = radiance.data[i];
+                [r, g, b, density[i]]
+            })
+            .collect();
         bytemuck::cast_slice(&rgba).to_vec()
     })
 }

@@ -37,6 +37,7 @@ pub const SHADERS: Library<'static> = Library(sources![
     "shared/brdf",
     "shared/bvh",
     "shared/camera",
+    "shared/environment",
     "shared/fetch_buffer",
     "shared/fetch_texture",
     "shared/hit",

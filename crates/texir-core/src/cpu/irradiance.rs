@@ -1,5 +1,7 @@
 //! Irradiance gather, twin of `irradiance.wgsl`.
 
+use std::f64::consts::FRAC_1_PI;
+
 use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::{Gather, Gathered};
@@ -17,9 +19,10 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
     V3([radius * phi.cos(), radius * phi.sin(), (R::of(1.0) - u).sqrt()])
 }
 
-/// E = Σ L cosθ / (n_c cosθ/π + n_l p_l), the balance heuristic over n_c cosine samples and n_l light samples (Veach and
-/// Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point part · n_c + i of the lattice
-/// sequence shifted by two hashes of `hash2(seed, sequence)`, light sample i point part · n_l + i of another.
+/// E = Σ L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s), the balance heuristic over n_c cosine samples, n_l samples of lights and
+/// n_s of the bright sky (Veach and Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point
+/// part · n_c + i of the lattice sequence shifted by two hashes of `hash2(seed, sequence)`, those of lights and sky likewise
+/// points of others.
 ///
 /// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
 /// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.
@@ -33,9 +36,10 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
     let (tangent, bitangent) = basis(normal);
     let seed = hash2(gather.seed, point.sequence);
-    let light_samples = if lights.is_empty() { 0 } else { gather.light };
+    let sky = lighting.environment.filter(|sky| !sky.bright().is_empty());
+    let [light_samples, sky_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
     let table = lights.table(point.position.into(), point.normal.into());
-    let [n_cosine, n_light] = [gather.cosine, light_samples].map(|n| R::of(f64::from(n)));
+    let [n_cosine, n_light, n_sky] = [gather.cosine, light_samples, sky_samples].map(|n| R::of(f64::from(n)));
     let (mut sum, mut behind) = (V3::zero(), 0u32);
 
     let offset = [hash2(seed, 3), hash2(seed, 4)];
@@ -43,8 +47,11 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         let V3([x, y, z]) = cosine_direction(lattice2(gather.part.wrapping_mul(gather.cosine).wrapping_add(i), offset));
         let direction = tangent * x + bitangent * y + normal * z;
         let Some(hit) = lighting.tracer.closest(origin, direction) else {
-            // Light samples never aim there.
-            sum = sum + lighting.beyond(direction) * (R::of(std::f64::consts::PI) / n_cosine);
+            if let Some(sky) = lighting.environment {
+                let pixel = sky.pixel(direction);
+                let density = n_cosine * z * R::of(FRAC_1_PI) + n_sky * R::of(f64::from(sky.bright().density[pixel]));
+                sum = sum + V3::of(sky.radiance().data[pixel]) * (z / density);
+            }
             continue;
         };
         let back = is_back_face(mesh, &hit, direction);
@@ -52,23 +59,35 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         if back && lights.density[hit.triangle as usize].per_area > 0.0 {
             continue;
         }
-        let density = n_cosine * z * R::of(std::f64::consts::FRAC_1_PI)
-            + n_light * light_density(mesh, lights, table, &hit, direction);
+        let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_density(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (z / density);
     }
     let offset = [hash2(seed, 1), hash2(seed, 2)];
     for i in 0..light_samples {
         let (triangle, target) =
-            light_point(mesh, lights, table, lattice2(gather.part.wrapping_mul(gather.light).wrapping_add(i), offset));
+            light_point(mesh, lights, table, lattice2(gather.part.wrapping_mul(light_samples).wrapping_add(i), offset));
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
         if !(cosine > R::of(0.0)) || hit.triangle != triangle || is_back_face(mesh, &hit, direction) {
             continue;
         }
-        let density = n_cosine * cosine * R::of(std::f64::consts::FRAC_1_PI)
-            + n_light * light_density(mesh, lights, table, &hit, direction);
+        let density =
+            n_cosine * cosine * R::of(FRAC_1_PI) + n_light * light_density(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (cosine / density);
+    }
+    if let Some(sky) = sky {
+        let offset = [hash2(seed, 5), hash2(seed, 6)];
+        for i in 0..sky_samples {
+            let index = gather.part.wrapping_mul(sky_samples).wrapping_add(i);
+            let (direction, pixel) = sky.bright_direction(lattice2(index, offset));
+            let cosine = normal.dot(direction);
+            if !(cosine > R::of(0.0)) || lighting.tracer.closest(origin, direction).is_some() {
+                continue;
+            }
+            let density = n_cosine * cosine * R::of(FRAC_1_PI) + n_sky * R::of(f64::from(sky.bright().density[pixel]));
+            sum = sum + V3::of(sky.radiance().data[pixel]) * (cosine / density);
+        }
     }
     Gathered { irradiance: sum.to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }
 }

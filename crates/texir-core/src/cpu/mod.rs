@@ -1,6 +1,7 @@
 //! CPU twins: one file per pass, sharing its stem with the shader, generic over the scalar. In `f64` (and [`crate::real::Dual`])
 //! they are the oracle that the WGSL is tested against; in `f32` over rayon and obvhs they are [`CpuBackend`].
 
+mod cwbvh;
 pub mod group_loss;
 pub mod irradiance;
 pub mod light_sampling;

@@ -1,7 +1,6 @@
-//! Closest hits: obvhs's own traversal in `f32`, and an exhaustive search in any scalar as the oracle.
+//! Closest hits: through the hierarchy in `f32`, and by an exhaustive search in any scalar as the oracle.
 
-use obvhs::ray::{Ray, RayHit};
-
+use super::cwbvh;
 use crate::environment::Environment;
 use crate::mesh::Mesh;
 use crate::raster::Rgb;
@@ -29,22 +28,18 @@ pub trait Trace<R: Real>: Sync {
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>>;
 }
 
-/// Ray–triangle intersection (Möller and Trumbore 1997), two-sided: `(t, u, v)`.
-pub fn intersect<R: Real>(corners: [V3<R>; 3], origin: V3<R>, direction: V3<R>) -> Option<(R, R, R)> {
+/// Ray–triangle intersection (Möller and Trumbore 1997) by a corner and the edges from it, two-sided: `(t, u, v)`.
+#[inline]
+pub fn intersect<R: Real>(corner: V3<R>, [e1, e2]: [V3<R>; 2], origin: V3<R>, direction: V3<R>) -> Option<(R, R, R)> {
     let zero = R::of(0.0);
-    let (e1, e2) = (corners[1] - corners[0], corners[2] - corners[0]);
     let p = direction.cross(e2);
     let inverse = R::of(1.0) / e1.dot(p);
-    let s = origin - corners[0];
+    let s = origin - corner;
     let u = s.dot(p) * inverse;
     let q = s.cross(e1);
     let v = direction.dot(q) * inverse;
     let t = e2.dot(q) * inverse;
     (u >= zero && v >= zero && u + v <= R::of(1.0) && t > zero).then_some((t, u, v))
-}
-
-fn corners_in<R: Real>(mesh: &Mesh, triangle: u32) -> [V3<R>; 3] {
-    mesh.corners(triangle).map(|c| V3::of(c.to_array()))
 }
 
 /// Tests every triangle: slow, free of any hierarchy, exact in its scalar.
@@ -58,7 +53,8 @@ impl<R: Real> Trace<R> for Exhaustive<'_> {
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>> {
         let mut best: Option<TraceHit<R>> = None;
         for triangle in 0..self.0.triangles.len() as u32 {
-            if let Some((t, u, v)) = intersect(corners_in(self.0, triangle), origin, direction)
+            let [a, b, c] = self.0.corners(triangle).map(|corner| V3::of(corner.to_array()));
+            if let Some((t, u, v)) = intersect(a, [b - a, c - a], origin, direction)
                 && best.is_none_or(|b| t < b.t)
             {
                 best = Some(TraceHit { triangle, u, v, t });
@@ -74,18 +70,7 @@ impl Trace<f32> for Scene {
     }
 
     fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        // obvhs takes −0 for negative in one place and for positive in another, and misses boxes.
-        let ray = Ray::new_inf(origin.0.into(), direction.0.map(|d| d + 0.0).into());
-        let mut hit = RayHit::none();
-        let found = self.bvh.ray_traverse(ray, &mut hit, |_, id| {
-            let triangle = self.bvh.primitive_indices[id];
-            intersect(corners_in(&self.mesh, triangle), origin, direction).map_or(f32::INFINITY, |(t, _, _)| t)
-        });
-        if !found {
-            return None;
-        }
-        let triangle = self.bvh.primitive_indices[hit.primitive_id as usize];
-        intersect(corners_in(&self.mesh, triangle), origin, direction).map(|(t, u, v)| TraceHit { triangle, u, v, t })
+        cwbvh::closest(self, origin, direction)
     }
 }
 

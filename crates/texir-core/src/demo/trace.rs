@@ -77,9 +77,9 @@ impl<'a> World<'a> {
         let (origin, direction) = (V3(from.to_array()), V3((way / length).to_array()));
         let ray = Ray::new(from.into(), (way / length).into(), 0.0, length * (1.0 - 1e-4));
         self.scene.bvh.ray_traverse_miss(ray, |_, id| {
-            let triangle = self.scene.bvh.primitive_indices[id];
-            let corners = self.flat.mesh.corners(triangle).map(|c| V3(c.to_array()));
-            intersect(corners, origin, direction).map_or(f32::INFINITY, |(t, _, _)| t)
+            let primitive = &self.scene.primitives[id];
+            let hit = intersect(V3(primitive.corner), primitive.edges.map(V3), origin, direction);
+            hit.map_or(f32::INFINITY, |(t, _, _)| t)
         })
     }
 

@@ -18,7 +18,7 @@ use crate::scene::Scene;
 
 /// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct light
 /// of a smaller contrast is found well enough by cosine samples.
-const CONTRAST: f32 = 3.0;
+pub(crate) const CONTRAST: f32 = 3.0;
 
 /// A sampled triangle.
 #[repr(C)]
@@ -175,7 +175,7 @@ pub fn invert(items: usize, cumulative: impl Fn(usize) -> f32, u: f32) -> (usize
 const BELOW_ONE: f32 = 1.0 - 1.0 / 16_777_216.0;
 
 /// Running sums of weights over their total; 1 from the last weight above 0 on, whatever was rounded.
-fn cumulative(weights: &[f32]) -> Vec<f32> {
+pub(crate) fn cumulative(weights: &[f32]) -> Vec<f32> {
     let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
     let last = weights.iter().rposition(|&w| w > 0.0).unwrap_or(0);
     let mut sum = 0.0;

@@ -7,6 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
+use texir_core::rng::along_hilbert_curve;
 use texir_core::surface::SurfacePoint;
 
 use crate::batch::{Context, GatherShape, Gathering};
@@ -22,13 +23,17 @@ pub(crate) struct IrradianceParams {
     pub end_sample: u32,
     pub cosine_samples: u32,
     pub light_samples: u32,
+    pub sky_samples: u32,
     pub seed: u32,
     pub part: u32,
+    pub sky_rows: u32,
 }
 
 struct Irradiance<'a> {
-    /// By technique: cosine, lights.
-    kernels: [Arc<Kernel>; 2],
+    /// By technique: cosine, lights, sky.
+    kernels: [Arc<Kernel>; 3],
+    /// Samples by technique.
+    samples: [u32; 3],
     geometry: &'a Geometry,
     lighting: &'a Lighting,
     points: &'a [SurfacePoint],
@@ -64,16 +69,24 @@ impl Gathering for Irradiance<'_> {
             count: items.len() as u32,
             first_sample: samples.start,
             end_sample: samples.end,
-            cosine_samples: self.gather.cosine,
-            light_samples: self.gather.light,
+            cosine_samples: self.samples[0],
+            light_samples: self.samples[1],
+            sky_samples: self.samples[2],
             seed: self.gather.seed,
             part: self.gather.part,
+            sky_rows: self.geometry.sky_rows,
         });
-        let own =
-            [("params", params.binding()), ("points", batch.points.binding()), ("gathered", batch.gathered.binding())];
+        let order = along_hilbert_curve(samples.clone().collect());
+        let order = ctx.pool.upload(&ctx.gpu, "sample order", &order)?;
+        let own = [
+            ("params", params.binding()),
+            ("points", batch.points.binding()),
+            ("gathered", batch.gathered.binding()),
+            ("sample_order", order.binding()),
+        ];
         let kernel = &self.kernels[technique];
-        let groups = kernel
-            .bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat())?;
+        let scene = [&self.geometry.lit_by(self.lighting)[..], &self.geometry.sky(), &self.lighting.lights()].concat();
+        let groups = kernel.bind(&ctx.gpu, &[&scene[..], &own].concat())?;
         let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
@@ -95,12 +108,13 @@ pub(crate) fn run(
     progress: &dyn Progress,
 ) -> Result<Vec<Gathered>> {
     let lanes = Some(("LANES", shape.lanes));
-    let kernels =
-        [ctx.kernel("irradiance", "gather_cosine", lanes)?, ctx.kernel("irradiance", "gather_lights", lanes)?];
-    // Without lights there is nothing to aim at, and the heuristic must not count samples that are not drawn.
-    let gather = Gather { light: if lighting.clusters == 0 { 0 } else { gather.light }, ..gather };
+    let mut kernel = |entry| ctx.kernel("irradiance", entry, lanes);
+    let kernels = [kernel("gather_cosine")?, kernel("gather_lights")?, kernel("gather_sky")?];
+    // The heuristic must not count samples that are not drawn.
+    let [light, sky] = gather.light_and_sky(lighting.clusters > 0, geometry.sky_rows > 0);
+    let samples = [gather.cosine, light, sky];
     let out = Vec::with_capacity(points.len());
-    let mut pass = Irradiance { kernels, geometry, lighting, points, gather, shape, out };
-    ctx.gather(points.len(), [gather.cosine, gather.light], shape, progress, &mut pass)?;
+    let mut pass = Irradiance { kernels, samples, geometry, lighting, points, gather, shape, out };
+    ctx.gather(points.len(), samples, shape, progress, &mut pass)?;
     Ok(pass.out)
 }
