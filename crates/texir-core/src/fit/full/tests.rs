@@ -279,7 +279,7 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     // Negative controls: too little difference, none, and blocks of which none says what is beside it.
     assert_eq!(refined(&halves, 1e-3, 0.4), [0.2; 1024]);
     assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
-    let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6) % 2 == 0;
+    let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6).is_multiple_of(2);
     assert_eq!(refined(&scattered, 1.0, 0.4), [0.2; 1024]);
 }
 
