@@ -93,7 +93,7 @@ pub struct FullSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DiffuseChoice {
-    /// The one that explains the images best.
+    /// The one under which least is left to explain at grazing angles.
     #[default]
     Auto,
     /// This one.

@@ -109,11 +109,8 @@ struct Scanned {
     by_segment: Vec<f32>,
 }
 
-/// A model with more to it must explain the images this much better than a simpler one.
-const CLEARLY: f64 = 0.95;
-
-/// Scans under every model that comes into question, simple ones first, and keeps the one under which the images are
-/// explained best.
+/// Scans under every model that comes into question, and keeps the one that leaves least for grazing terms to explain. (Misfit
+/// does not tell: it is what is left after them.)
 fn scan_models(
     problem: &mut AlbedoProblem<'_>,
     segments: &Segments,
@@ -126,9 +123,9 @@ fn scan_models(
         let mut albedo = problem.start();
         let evidence = scan::scan(problem, &settings.roughness, &mut albedo, progress)?;
         let by_segment = roughness(segments, &evidence, settings);
-        let cost = evidence.mean_cost(&by_segment);
-        if best.as_ref().is_none_or(|(least, _)| cost < CLEARLY * *least) {
-            best = Some((cost, Scanned { diffuse, albedo, evidence, by_segment }));
+        let grazing = evidence.grazing(&by_segment);
+        if best.as_ref().is_none_or(|(least, _)| grazing < *least) {
+            best = Some((grazing, Scanned { diffuse, albedo, evidence, by_segment }));
         }
     }
     best.map(|(_, scanned)| scanned).ok_or_else(|| Error::invalid("no diffuse model to choose from"))

@@ -22,14 +22,17 @@ pub struct Evidence {
     pub cost: Vec<[f16; NODES]>,
     /// How much of a say each pixel has, 1 on average.
     pub say: Vec<f32>,
+    /// Per segment and node: slope b of its grazing term b (1−nv)⁵.
+    pub slope: Vec<[f32; NODES]>,
 }
 
 impl Evidence {
-    /// The mean over all pixels at the nodes nearest to their segments' roughness.
-    pub fn mean_cost(&self, roughness: &[f32]) -> f64 {
-        let nodes: Vec<usize> = roughness.iter().map(|r| nearest_node(*r)).collect();
-        let costs = self.cost.iter().zip(&self.segment).filter(|(_, s)| **s != NONE);
-        let (sum, count) = costs.fold((0.0, 0u64), |(sum, n), (c, s)| (sum + c[nodes[*s as usize]].to_f64(), n + 1));
+    /// How much grazing terms had to explain: the mean of |b| over the pixels, at the nodes nearest to their segments'
+    /// roughness. Under the diffuse model that the surfaces have, nothing is left for them.
+    pub fn grazing(&self, roughness: &[f32]) -> f64 {
+        let slope = |s: usize| f64::from(self.slope[s][nearest_node(roughness[s])].abs());
+        let of_pixels = self.segment.iter().filter(|s| **s != NONE).map(|s| slope(*s as usize));
+        let (sum, count) = of_pixels.fold((0.0, 0u64), |(sum, n), slope| (sum + slope, n + 1));
         sum / count.max(1) as f64
     }
 }
@@ -87,6 +90,7 @@ pub fn scan(
     let segment = pure_segments(problem, settings.min_cosine);
     let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
     let mut slopes = vec![0.0; problem.segment.1];
+    let mut slope = vec![[0.0; NODES]; problem.segment.1];
     for k in (0..NODES).rev() {
         progress.check()?;
         // What is known of the grazing terms from rougher nodes is no business of albedo.
@@ -101,6 +105,7 @@ pub fn scan(
         let residual: Vec<f32> = residual.par_iter().map(|e| e.element_sum() / 3.0).collect();
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
         slopes.iter_mut().zip(&nuisance).for_each(|(slope, [more, _])| *slope = (*slope + more).clamp(-1.0, 1.0));
+        slope.iter_mut().zip(&slopes).for_each(|(of_nodes, slope)| of_nodes[k] = *slope);
         (&mut cost, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
             |(cost, e, s, segment, cosine)| {
                 if *segment != NONE {
@@ -113,7 +118,7 @@ pub fn scan(
         progress.advance(1);
     }
     progress.finish();
-    Ok(Evidence { segment, cost, say: say(&problem.seen.area) })
+    Ok(Evidence { segment, cost, say: say(&problem.seen.area), slope })
 }
 
 /// The one segment that a pixel sees, at a cosine above `min_cosine`; [`NONE`] otherwise.

@@ -178,7 +178,7 @@ fn least_squares_recovers_albedo_beside_highlights() {
 fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
     let mut cost = [half::f16::ONE; crate::specular_table::NODES];
     cost[8] = half::f16::ZERO;
-    let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0] };
+    let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![] };
     let settled =
         |pull, half_believed| settle(&evidence, &Level { group: &[0], parent: &[0.8, 0.6], pull, half_believed });
     let own = crate::specular_table::node(8);
@@ -196,7 +196,7 @@ fn confidence_is_high_where_costs_rise_and_zero_without_pixels() {
     let clear: [half::f16; NODES] = parabola(0.05);
     let vague: [half::f16; NODES] = parabola(1e-4);
     let segment = vec![0, 1, NONE];
-    let evidence = super::scan::Evidence { segment, cost: vec![clear, vague, clear], say: vec![1.0; 3] };
+    let evidence = super::scan::Evidence { segment, cost: vec![clear, vague, clear], say: vec![1.0; 3], slope: vec![] };
     let known = confidence(&evidence, &evidence.segment, 3, 0.0);
     assert!(known[0] > 0.7 && known[1] < 0.3 && known[2] == 0.0, "{known:?}");
     let hardly = confidence(&evidence, &evidence.segment, 3, 9.0);
@@ -261,6 +261,7 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
             })
             .collect::<Vec<[half::f16; NODES]>>(),
         say: vec![1.0; texels.len()],
+        slope: vec![],
     };
     let (segment, whole) = (vec![0; texels.len()], [0.2]);
     let surface = Surface {
@@ -297,7 +298,7 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
         std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
     };
     let settled = |say: Vec<f32>| {
-        let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say };
+        let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say, slope: vec![] };
         let level = Level { group: &evidence.segment, parent: &[0.5], pull: 0.0, half_believed: 0.0 };
         nearest_node(settle(&evidence, &level)[0])
     };
