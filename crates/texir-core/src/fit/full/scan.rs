@@ -89,7 +89,6 @@ pub fn scan(
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
-    let mut slopes = vec![0.0; problem.segment.1];
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
     for k in (0..NODES).rev() {
         progress.check()?;
@@ -97,15 +96,17 @@ pub fn scan(
         let mut target = problem.target(&Roughness::Node(k));
         (&mut target, &segment, &problem.seen.cosine).into_par_iter().for_each(|(target, segment, cosine)| {
             if *segment != NONE {
-                *target += slopes[*segment as usize] * grazing(*cosine);
+                *target += known(&slope[*segment as usize], k) * grazing(*cosine);
             }
         });
         problem.solve(albedo, &target, &sigma, 1, settings.iterations);
         let residual = problem.residual(albedo, &target);
         let residual: Vec<f32> = residual.par_iter().map(|e| e.element_sum() / 3.0).collect();
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
-        slopes.iter_mut().zip(&nuisance).for_each(|(slope, [more, _])| *slope = (*slope + more).clamp(-1.0, 1.0));
-        slope.iter_mut().zip(&slopes).for_each(|(of_nodes, slope)| of_nodes[k] = *slope);
+        slope
+            .iter_mut()
+            .zip(&nuisance)
+            .for_each(|(slope, [more, _])| slope[k] = (known(slope, k) + more).clamp(-1.0, 1.0));
         (&mut cost, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
             |(cost, e, s, segment, cosine)| {
                 if *segment != NONE {
@@ -119,6 +120,11 @@ pub fn scan(
     }
     progress.finish();
     Ok(Evidence { segment, cost, say: say(&problem.seen.area), slope })
+}
+
+/// The slope of a segment's grazing term that the nodes rougher than `k` have found; 0 before there are any.
+fn known(slope: &[f32; NODES], k: usize) -> f32 {
+    slope.get(k + 1).copied().unwrap_or(0.0)
 }
 
 /// The one segment that a pixel sees, at a cosine above `min_cosine`; [`NONE`] otherwise.
