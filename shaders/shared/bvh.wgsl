@@ -2,7 +2,8 @@
 // Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017; obvhs interleaves minima and maxima).
 //
 // While-while: nodes until some yield triangles, then those triangles, because a CPU driver runs both sides of every
-// `if` in a loop. A node is 5 words (80 bytes), a triangle 3 (48 bytes): v0 and the triangle's index in the mesh, e1, e2.
+// `if` in a loop. A node is 5 words (80 bytes), a triangle 4 (64 bytes, a cache line): (corner a, the triangle's index in
+// the mesh), (b − a, u of c), (c − a, v of c), (u and v of a, u and v of b).
 
 #import fetch
 
@@ -17,7 +18,7 @@ struct Intersection {
 const MISS: u32 = 0xffffffffu;
 // The furthest that rays go, metres.
 const T_FAR: f32 = 1e30;
-// Entries of the traversal stack: one per level of the hierarchy; the host refuses a deeper one.
+// Entries of the traversal stack: one per level of the hierarchy, which has at most 31 (hierarchy.rs).
 const STACK_SIZE: u32 = 32u;
 // Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.00000024;
@@ -90,6 +91,11 @@ fn intersect_node(node: u32, ray: TraversalRay, t_max: f32) -> NodeHits {
     return NodeHits(child_hits(links.z, low, ray.octant) | child_hits(links.w, high, ray.octant), head, links);
 }
 
+// One of the words of a triangle, as numbers.
+fn triangle_part(primitive: u32, part: u32) -> vec4f {
+    return bitcast<vec4f>(triangle_word(primitive * 4u + part));
+}
+
 // The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997).
 fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
     let ray = traversal_ray(origin, direction);
@@ -125,9 +131,9 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
             let bit = firstLeadingBit(leaf.y);
             leaf.y &= ~(1u << bit);
             let primitive = leaf.x + bit;
-            let v0 = bitcast<vec3f>(triangle_word(primitive * 3u).xyz);
-            let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
-            let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
+            let v0 = triangle_part(primitive, 0u).xyz;
+            let e1 = triangle_part(primitive, 1u).xyz;
+            let e2 = triangle_part(primitive, 2u).xyz;
             let p = cross(direction, e2);
             let determinant = dot(e1, p);
             let inverse = 1.0 / determinant;
@@ -146,12 +152,10 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
 
 // Normal of a primitive, on the side from which its corners run counter-clockwise; its length is twice the area.
 fn primitive_normal(primitive: u32) -> vec3f {
-    let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
-    let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
-    return cross(e1, e2);
+    return cross(triangle_part(primitive, 1u).xyz, triangle_part(primitive, 2u).xyz);
 }
 
 // Index in the mesh of a primitive of the hierarchy.
 fn mesh_triangle(primitive: u32) -> u32 {
-    return triangle_word(primitive * 3u).w;
+    return triangle_word(primitive * 4u).w;
 }

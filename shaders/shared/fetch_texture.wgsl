@@ -1,13 +1,14 @@
 // Where the hierarchy lies on CPU adapters: rgba32float textures, which their drivers fetch faster than storage buffers.
-// Word i is at column i mod 4096, row i / 4096 (the host's TEXTURE_COLUMNS).
+// Storage textures, because llvmpipe looks up a mip level, lane by lane, at each fetch from a sampled one.
+// Word i is at column i mod 8192, row i / 8192 (the host's TEXTURE_COLUMNS).
 
-@group(0) @binding(0) var bvh_nodes: texture_2d<f32>;
-@group(0) @binding(1) var bvh_triangles: texture_2d<f32>;
+@group(0) @binding(0) var bvh_nodes: texture_storage_2d<rgba32float, read>;
+@group(0) @binding(1) var bvh_triangles: texture_storage_2d<rgba32float, read>;
 
 fn node_word(i: u32) -> vec4u {
-    return bitcast<vec4u>(textureLoad(bvh_nodes, vec2u(i & 4095u, i >> 12u), 0));
+    return bitcast<vec4u>(textureLoad(bvh_nodes, vec2u(i & 8191u, i >> 13u)));
 }
 
 fn triangle_word(i: u32) -> vec4u {
-    return bitcast<vec4u>(textureLoad(bvh_triangles, vec2u(i & 4095u, i >> 12u), 0));
+    return bitcast<vec4u>(textureLoad(bvh_triangles, vec2u(i & 8191u, i >> 13u)));
 }

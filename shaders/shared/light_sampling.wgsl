@@ -87,9 +87,9 @@ fn light_point(table: u32, u: vec2f) -> LightPoint {
     let before_triangle = select(light_triangles[max(low, 1u) - 1u].cumulative, 0.0, low == first);
     let root = sqrt(share_below(in_cluster, before_triangle, light_triangles[low].cumulative));
     let primitive = light_triangles[low].primitive;
-    let v0 = bitcast<vec3f>(triangle_word(primitive * 3u).xyz);
-    let e1 = bitcast<vec3f>(triangle_word(primitive * 3u + 1u).xyz);
-    let e2 = bitcast<vec3f>(triangle_word(primitive * 3u + 2u).xyz);
+    let v0 = triangle_part(primitive, 0u).xyz;
+    let e1 = triangle_part(primitive, 1u).xyz;
+    let e2 = triangle_part(primitive, 2u).xyz;
     return LightPoint(v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y), primitive);
 }
 

@@ -4,17 +4,15 @@
 #import bvh
 #import environment
 
-// Atlas coordinates of each primitive's corners, in the hierarchy's order: (a, b), (c, unused).
-@group(0) @binding(2) var<storage, read> triangle_uvs: array<vec4f>;
 // Outgoing radiance in the atlas, linear RGB.
-@group(0) @binding(3) var tbl: texture_2d<f32>;
+@group(0) @binding(2) var tbl: texture_2d<f32>;
 
 // Outgoing radiance at a hit: the nearest texel; 0 for a miss.
 fn radiance_at(hit: Intersection) -> vec3f {
     let found = hit.primitive != MISS;
     let primitive = select(0u, hit.primitive, found);
-    let ab = triangle_uvs[primitive * 2u];
-    let c = triangle_uvs[primitive * 2u + 1u].xy;
+    let ab = triangle_part(primitive, 3u);
+    let c = vec2f(triangle_part(primitive, 1u).w, triangle_part(primitive, 2u).w);
     let uv = ab.xy * (1.0 - hit.u - hit.v) + ab.zw * hit.u + c * hit.v;
     let size = textureDimensions(tbl);
     let texel = min(vec2u(max(uv, vec2f(0.0)) * vec2f(size)), size - 1u);

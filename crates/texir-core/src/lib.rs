@@ -23,6 +23,7 @@ pub mod fit;
 mod fuzz;
 pub mod glb;
 pub mod hdr;
+mod hierarchy;
 pub mod image_io;
 mod inpaint;
 pub mod lightmap;

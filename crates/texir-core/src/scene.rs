@@ -1,18 +1,11 @@
 //! The mesh with its acceleration structure: what every tracing pass runs on.
 
-use std::time::Duration;
-
-use obvhs::BvhBuildParams;
 use obvhs::cwbvh::CwBvh;
-use obvhs::cwbvh::builder::build_cwbvh_from_tris;
 use obvhs::triangle::Triangle;
 
 use crate::error::{Error, Result};
+use crate::hierarchy;
 use crate::mesh::Mesh;
-
-/// Most triangles for which the hierarchy is built with all care: a second per 300 thousand, and rays are 1.3 to 1.6 times
-/// as fast (docs/performance.md).
-const CAREFUL_BUILD: usize = 2_000_000;
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
@@ -55,12 +48,7 @@ impl Scene {
                 Triangle { v0: a.into(), v1: b.into(), v2: c.into() }
             })
             .collect();
-        let quality = if triangles.len() <= CAREFUL_BUILD {
-            BvhBuildParams::very_slow_build()
-        } else {
-            BvhBuildParams::medium_build()
-        };
-        let bvh = build_cwbvh_from_tris(&triangles, quality, &mut Duration::default());
+        let bvh = hierarchy::build(&triangles);
         let primitive = |&triangle: &u32| {
             let [a, b, c] = mesh.corners(triangle);
             Primitive { corner: a.to_array(), edges: [(b - a).to_array(), (c - a).to_array()], triangle }

@@ -189,6 +189,22 @@ fn binding_type(module: &naga::Module, variable: &naga::GlobalVariable) -> Optio
             view_dimension: wgpu::TextureViewDimension::D2,
             multisampled: false,
         }),
+        (
+            naga::AddressSpace::Handle,
+            naga::TypeInner::Image {
+                dim: naga::ImageDimension::D2,
+                arrayed: false,
+                class:
+                    naga::ImageClass::Storage {
+                        format: naga::StorageFormat::Rgba32Float,
+                        access: naga::StorageAccess::LOAD,
+                    },
+            },
+        ) => Some(wgpu::BindingType::StorageTexture {
+            access: wgpu::StorageTextureAccess::ReadOnly,
+            format: wgpu::TextureFormat::Rgba32Float,
+            view_dimension: wgpu::TextureViewDimension::D2,
+        }),
         _ => None,
     }
 }

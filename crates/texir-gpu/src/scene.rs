@@ -1,7 +1,6 @@
 //! The scene in device memory: the hierarchy, its triangles and the texture-based lighting.
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec4;
 use texir_core::environment::Environment;
 use texir_core::error::{Error, Result};
 use texir_core::lights::Lights;
@@ -12,10 +11,7 @@ use crate::buffer::{View, keep, uniform};
 use crate::gpu::Gpu;
 
 /// Columns of a texture that holds an array; `fetch_texture.wgsl` has the same number.
-const TEXTURE_COLUMNS: u32 = 4096;
-
-/// Levels of the hierarchy that the traversal's stack has room for; `bvh.wgsl` has the same number.
-const STACK_SIZE: usize = 32;
+const TEXTURE_COLUMNS: u32 = 8192;
 
 /// Bytes written into a texture at once.
 const TEXTURE_PIECE: usize = 32 << 20;
@@ -25,7 +21,7 @@ const TEXTURE_PIECE: usize = 32 << 20;
 pub enum Hierarchy {
     /// In storage buffers: for GPUs.
     Buffers,
-    /// In float textures, whose fetches are faster on software drivers.
+    /// In float storage textures, whose fetches are faster on software drivers.
     Textures,
 }
 
@@ -57,7 +53,8 @@ impl Words {
             padded.resize(rows * columns, [0; 4]);
             &padded
         };
-        let view = texture(gpu, name, TEXTURE_COLUMNS, rows as u32, |first, count| {
+        let usage = wgpu::TextureUsages::STORAGE_BINDING;
+        let view = texture(gpu, name, usage, [TEXTURE_COLUMNS, rows as u32], |first, count| {
             bytemuck::cast_slice(&full[first * columns..(first + count) * columns]).to_vec()
         })?;
         Ok(Self::Texture(view))
@@ -75,7 +72,6 @@ impl Words {
 pub(crate) struct Geometry {
     nodes: Words,
     triangles: Words,
-    triangle_uvs: View,
     /// What rays see that miss the mesh, and the density with which it is sampled.
     environment: wgpu::TextureView,
     bright_rows: View,
@@ -86,28 +82,19 @@ pub(crate) struct Geometry {
 
 impl Geometry {
     pub fn new(gpu: &Gpu, scene: &Scene, place: Hierarchy) -> Result<Self> {
-        let height = height(scene);
-        if height > STACK_SIZE {
-            return Err(Error::device(format!(
-                "the hierarchy of the mesh is {height} levels deep, the traversal takes {STACK_SIZE}: \
-                 are many triangles of the mesh in one place?"
-            )));
-        }
         let (mesh, order) = (&scene.mesh, &scene.bvh.primitive_indices);
         let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
-        let mut triangles = Vec::with_capacity(3 * order.len());
-        let mut uvs = Vec::with_capacity(2 * order.len());
+        let mut triangles = Vec::with_capacity(4 * order.len());
         for &t in order {
             let [a, b, c] = mesh.corners(t);
-            triangles.extend([word(a, t), word(b - a, 0), word(c - a, 0)]);
-            let [a, b, c] = mesh.corner_uvs(t);
-            uvs.extend([Vec4::new(a.x, a.y, b.x, b.y), Vec4::new(c.x, c.y, 0.0, 0.0)]);
+            let [uv_a, uv_b, uv_c] = mesh.corner_uvs(t);
+            triangles.extend([word(a, t), word(b - a, uv_c.x.to_bits()), word(c - a, uv_c.y.to_bits())]);
+            triangles.push([uv_a.x, uv_a.y, uv_b.x, uv_b.y].map(f32::to_bits));
         }
         let black = Environment::constant([0.0; 3])?;
         Ok(Self {
             nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
             triangles: Words::new(gpu, "triangles", &triangles, place)?,
-            triangle_uvs: keep(gpu, "triangle coordinates", &uvs)?,
             environment: environment_texture(gpu, &black)?,
             bright_rows: keep(gpu, "bright rows", &black.bright().rows)?,
             bright_pixels: keep(gpu, "bright pixels", &black.bright().pixels)?,
@@ -133,11 +120,11 @@ impl Geometry {
     }
 
     /// What gathering passes bind.
-    pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 5] {
+    pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 4] {
         let [nodes, triangles] = self.bindings();
         let tbl = ("tbl", wgpu::BindingResource::TextureView(&lighting.tbl));
         let environment = ("environment", wgpu::BindingResource::TextureView(&self.environment));
-        [nodes, triangles, ("triangle_uvs", self.triangle_uvs.binding()), tbl, environment]
+        [nodes, triangles, tbl, environment]
     }
 
     /// What passes bind that sample the environment.
@@ -235,7 +222,8 @@ fn radiance_texture(gpu: &Gpu, name: &str, radiance: &Rgb) -> Result<wgpu::Textu
     if radiance.data.is_empty() {
         return Err(Error::invalid(format!("the {name} has no texels")));
     }
-    texture(gpu, name, radiance.width as u32, radiance.height as u32, |first, count| {
+    let size = [radiance.width as u32, radiance.height as u32];
+    texture(gpu, name, wgpu::TextureUsages::TEXTURE_BINDING, size, |first, count| {
         let texels = &radiance.data[first * radiance.width..(first + count) * radiance.width];
         let rgba: Vec<[f32; 4]> = texels.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
         bytemuck::cast_slice(&rgba).to_vec()
@@ -245,7 +233,8 @@ fn radiance_texture(gpu: &Gpu, name: &str, radiance: &Rgb) -> Result<wgpu::Textu
 /// The panorama, with the density of its pixels.
 fn environment_texture(gpu: &Gpu, environment: &Environment) -> Result<wgpu::TextureView> {
     let (radiance, density) = (environment.radiance(), &environment.bright().density);
-    texture(gpu, "environment", radiance.width as u32, radiance.height as u32, |first, count| {
+    let size = [radiance.width as u32, radiance.height as u32];
+    texture(gpu, "environment", wgpu::TextureUsages::TEXTURE_BINDING, size, |first, count| {
         let pixels = first * radiance.width..(first + count) * radiance.width;
         let rgba: Vec<[f32; 4]> = pixels
             .map(|i| {
@@ -261,8 +250,8 @@ fn environment_texture(gpu: &Gpu, environment: &Environment) -> Result<wgpu::Tex
 fn texture(
     gpu: &Gpu,
     name: &str,
-    width: u32,
-    height: u32,
+    usage: wgpu::TextureUsages,
+    [width, height]: [u32; 2],
     rows: impl Fn(usize, usize) -> Vec<u8>,
 ) -> Result<wgpu::TextureView> {
     let limit = gpu.device().limits().max_texture_dimension_2d;
@@ -279,7 +268,7 @@ fn texture(
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
         format: wgpu::TextureFormat::Rgba32Float,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        usage: usage | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     });
     let row_bytes = 16 * width;
@@ -296,17 +285,4 @@ fn texture(
         gpu.queue().submit([]);
     }
     Ok(texture.create_view(&Default::default()))
-}
-
-/// Levels of the hierarchy: at most so many node groups wait on the traversal's stack.
-fn height(scene: &Scene) -> usize {
-    let mut deepest = 0;
-    let mut open = vec![(0u32, 1usize)];
-    while let Some((index, level)) = open.pop() {
-        deepest = deepest.max(level);
-        let node = &scene.bvh.nodes[index as usize];
-        // Inner children lie next to each other.
-        open.extend((0..node.imask.count_ones()).map(|k| (node.child_base_idx + k, level + 1)));
-    }
-    deepest
 }
