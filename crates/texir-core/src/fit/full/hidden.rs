@@ -1,5 +1,6 @@
 //! What no view sees: floor under a sofa, wall behind a shelf. Labels come from what is seen of the same flat surface, and
-//! materials from what is seen of the same segment, so that it can be shown once the sofa is moved.
+//! materials from what is seen of the same segment, so that it can be shown once the sofa is moved. What is seen so badly that it
+//! comes out as no material could be is treated alike.
 
 use std::collections::HashMap;
 
@@ -17,6 +18,12 @@ const FLAT: f32 = 0.95;
 const CELLS: [f32; 6] = [8.0, 16.0, 32.0, 64.0, 128.0, 256.0];
 /// Labelled texels that must lie around a hidden one before they are believed.
 const ENOUGH: u32 = 100;
+
+/// Bounds of what diffuse albedo surfaces have in a channel: soot reflects 3 %, fresh snow 95 %.
+const DARKEST: f32 = 0.005;
+const BRIGHTEST: f32 = 0.97;
+/// Share of a segment's texels up to which those outside are errors.
+const FEW: f64 = 0.1;
 
 /// The flat surface that each texel is part of.
 pub fn flat_surfaces(atlas: &Atlas, adjacency: &Adjacency) -> Vec<u32> {
@@ -58,6 +65,20 @@ pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) 
         });
     }
     labels
+}
+
+/// Texels whose albedo no surface has, black as soot or whiter than snow in a channel: what is left there is the error of
+/// the one pixel that sees them. Where much of a segment is like that, it is another matter, and they stay. `segment` has a number per
+/// texel, and their count.
+pub fn outliers(albedo: &[Vec3A], segment: (&[u32], usize)) -> Vec<bool> {
+    let outlier = |a: &Vec3A| a.min_element() < DARKEST || a.max_element() > BRIGHTEST;
+    let mut counts = vec![[0u32; 2]; segment.1];
+    for (a, &s) in albedo.iter().zip(segment.0) {
+        counts[s as usize][0] += 1;
+        counts[s as usize][1] += u32::from(outlier(a));
+    }
+    let few = |s: u32| f64::from(counts[s as usize][1]) < FEW * f64::from(counts[s as usize][0]);
+    albedo.iter().zip(segment.0).map(|(a, &s)| outlier(a) && few(s)).collect()
 }
 
 /// Albedo and roughness of hidden texels: those near in their segment.
@@ -134,6 +155,19 @@ mod tests {
         // A surface that is hidden altogether stays unlabelled.
         let nothing: Vec<Option<u16>> = known.iter().zip(&surface).map(|(k, s)| k.filter(|_| *s == 1)).collect();
         assert_eq!(label(&atlas, &surface, &nothing, TEXEL)[0], None);
+    }
+
+    #[test]
+    fn single_texels_of_no_possible_albedo_are_outliers() {
+        let segment: Vec<u32> = (0..200).map(|t| t / 100).collect();
+        let mut albedo = vec![Vec3A::new(0.5, 0.2, 0.1); 200];
+        albedo[3] = Vec3A::new(0.3, 0.0, 0.0);
+        albedo[70] = Vec3A::new(1.0, 0.9, 0.9);
+        // The second segment is a red that pictures show without any blue.
+        albedo[100..].iter_mut().for_each(|a| a.z = 0.0);
+        let found: Vec<usize> =
+            outliers(&albedo, (&segment, 2)).iter().enumerate().filter(|(_, o)| **o).map(|(t, _)| t).collect();
+        assert_eq!(found, [3, 70]);
     }
 
     #[test]

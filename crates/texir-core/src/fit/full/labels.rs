@@ -4,9 +4,12 @@
 //! in every view, but in regions rather than pixels: votes are therefore weighed nearly alike over the views, so that
 //! the nearest does not decide alone, and blurred over the surface.
 
+use std::collections::HashMap;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::hidden;
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::capture::View;
@@ -28,6 +31,9 @@ const BLUR: f32 = 0.07;
 const VARIANCE_PER_ROUND: f32 = 0.4;
 /// Rounds at most, for their time; fine texels are blurred less far.
 const MAX_ROUNDS: f32 = 24.0;
+/// What has a smaller share of the votes than is usual on its flat surface is left to those around it: what one view catches
+/// through a gap under a sofa is as often the sofa's leg.
+const SCARCE: f32 = 0.3;
 /// Texels whose normals' cosine is less do not share votes: classes end at creases.
 const SAME_NORMAL: f32 = 0.9;
 
@@ -88,6 +94,11 @@ impl Ballot {
         }
     }
 
+    /// All votes.
+    fn weight(&self) -> f32 {
+        self.0.iter().map(|(_, weight)| weight).sum()
+    }
+
     /// The label with the most votes; the lower of two that are equal.
     fn winner(&self) -> Option<u16> {
         let most = self.0.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
@@ -108,7 +119,7 @@ impl Votes {
         });
     }
 
-    /// The label of every texel; `None` where there is no vote around.
+    /// The label of every texel; `None` where there are no votes around, or hardly any.
     pub fn count(self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency) -> Vec<Option<u16>> {
         let Self(mut votes) = self;
         if votes.is_empty() {
@@ -132,8 +143,22 @@ impl Votes {
             };
             votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
         }
-        votes.iter().map(Ballot::winner).collect()
+        let surface = hidden::flat_surfaces(atlas, adjacency);
+        let mut on_surface: HashMap<u32, Vec<f32>> = HashMap::new();
+        for (ballot, &surface) in votes.iter().zip(&surface).filter(|(ballot, _)| ballot.weight() > 0.0) {
+            on_surface.entry(surface).or_default().push(ballot.weight());
+        }
+        let usual: HashMap<u32, f32> =
+            on_surface.into_iter().map(|(surface, weights)| (surface, median(weights))).collect();
+        let label =
+            |(ballot, surface): (&Ballot, &u32)| ballot.winner().filter(|_| ballot.weight() >= SCARCE * usual[surface]);
+        votes.iter().zip(&surface).map(label).collect()
     }
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 #[cfg(test)]
@@ -199,6 +224,33 @@ mod tests {
             }
         }
         blotched
+    }
+
+    #[test]
+    fn what_hardly_any_view_votes_for_is_left_open() {
+        let scene = Scene::new(room()).unwrap();
+        let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, 192, 128).unwrap();
+        let adjacency = Adjacency::new(&scene.mesh, &atlas);
+        let islet = |t: usize| (Vec3::from(atlas.points[t].position) - Vec3::new(2.0, 1.5, 0.0)).length() < 0.4;
+        let labels = |votes_on_islet: usize| {
+            let mut votes = Votes::default();
+            for view in 0..6 {
+                let all = 0..atlas.points.len();
+                let sees = |t: usize| (!islet(t) || view < votes_on_islet).then_some(Witness { pixel: t, weight: 1.0 });
+                votes.add(&all.map(sees).collect::<Vec<_>>(), |t| if islet(t) { 2 } else { 1 });
+            }
+            votes.count(&scene.mesh, &atlas, &adjacency)
+        };
+        let middle = (0..atlas.points.len())
+            .filter(|&t| islet(t))
+            .min_by(|&a, &b| {
+                let from_middle = |t: usize| Vec3::from(atlas.points[t].position).distance(Vec3::new(2.0, 1.5, 0.0));
+                from_middle(a).total_cmp(&from_middle(b))
+            })
+            .unwrap();
+        assert_eq!(labels(1)[middle], None);
+        // Negative control: as many votes as elsewhere.
+        assert_eq!(labels(6)[middle], Some(2));
     }
 
     #[test]

@@ -78,20 +78,21 @@ pub fn recover(
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
-    let seen_at_all = |t: usize| !seen.columns.row(t).is_empty();
+    let outlier = hidden::outliers(&albedo, segment);
+    let known = |t: usize| !seen.columns.row(t).is_empty() && !outlier[t];
     // What the images show stays what they show: irradiance takes what albedo gives up.
     let corrected: Vec<[f32; 3]> = (0..painted.len())
         .into_par_iter()
         .map(|t| {
             let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(Vec3A::splat(0.5), Vec3A::splat(2.0));
-            (irradiance[t] * if seen_at_all(t) { given_up } else { Vec3A::ONE }).to_array()
+            (irradiance[t] * if known(t) { given_up } else { Vec3A::ONE }).to_array()
         })
         .collect();
-    hidden::paint(atlas, &segments.segment, seen_at_all, (&mut painted, &mut roughness), texel);
+    hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
-    let known = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);
-    let confidence: Vec<f32> = segments.segment.iter().map(|&s| known[s as usize]).collect();
+    let sure = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);
+    let confidence: Vec<f32> = segments.segment.iter().map(|&s| sure[s as usize]).collect();
     Ok(Materials {
         albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
         roughness: atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
