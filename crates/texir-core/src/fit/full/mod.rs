@@ -78,17 +78,18 @@ pub fn recover(
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
+    let seen_at_all = |t: usize| !seen.columns.row(t).is_empty();
     let outlier = hidden::outliers(&albedo, segment);
-    let known = |t: usize| !seen.columns.row(t).is_empty() && !outlier[t];
+    let known = |t: usize| seen_at_all(t) && !outlier[t];
+    hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
     // What the images show stays what they show: irradiance takes what albedo gives up.
     let corrected: Vec<[f32; 3]> = (0..painted.len())
         .into_par_iter()
         .map(|t| {
             let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(Vec3A::splat(0.5), Vec3A::splat(2.0));
-            (irradiance[t] * if known(t) { given_up } else { Vec3A::ONE }).to_array()
+            (irradiance[t] * if seen_at_all(t) { given_up } else { Vec3A::ONE }).to_array()
         })
         .collect();
-    hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
     let sure = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);
