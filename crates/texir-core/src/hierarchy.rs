@@ -314,7 +314,7 @@ mod tests {
     fn every_triangle_is_in_a_leaf() {
         let scattered = |i: u32| Vec3A::new(unit(i, 0), unit(i, 1), unit(i, 2));
         let one_place = |_: u32| Vec3A::ONE;
-        // Each a thousandth of the way to the last: bins part only few of them at a time.
+        // Eight in a place, the next half as far from the origin: bins part only few of them at a time.
         let crowding = |i: u32| Vec3A::splat(0.5f32.powi(i as i32 / 8));
         let cases = [
             triangles(1, scattered, 0.1),
