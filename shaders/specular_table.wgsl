@@ -37,7 +37,8 @@ struct SpecularTableParams {
     cosine_samples: u32,
     light_samples: u32,
     seed: u32,
-    pad: u32,
+    // Reflectance at normal incidence.
+    f0: f32,
     // Roughnesses of the LOBES, then unused.
     lobes: array<vec4f, 2>,
     // Roughnesses of the NODES.
@@ -123,7 +124,7 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
         + f32(params.light_samples)
             * light_pdf(light_table(point.position, point.normal), primitive, hit.t, dot(normalize(primitive_normal(primitive)), aim.direction));
     let x = fresnel_weight(c.vh);
-    let light = radiance_at(hit) * ((DIELECTRIC_F0 * (1.0 - x) + x) * c.nl / density);
+    let light = radiance_at(hit) * ((params.f0 * (1.0 - x) + x) * c.nl / density);
     let counts = hit.primitive != MISS && (aim.primitive == MISS || aim.primitive == hit.primitive);
     return Sample(select(vec3f(0.0), light, counts), sin2, c.nl, c.nv);
 }

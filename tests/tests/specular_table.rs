@@ -20,6 +20,10 @@ use texir_gpu::GpuBackend;
 use texir_tests::compare::Tolerance;
 use texir_tests::{gpu, scenes};
 
+/// F0 of a dielectric, and of a white metal.
+const DIELECTRIC: f32 = 0.04;
+const WHITE: f32 = 1.0;
+
 /// A closed box of 2 × 2 × 1 m and a lamp of 10 × 10 cm below its ceiling, the last two triangles.
 fn box_with_lamp() -> Mesh {
     let mut b = scenes::Builder::default();
@@ -63,9 +67,9 @@ fn from_above(nv: f32) -> Vec3 {
     Vec3::new(-(1.0 - nv * nv).sqrt(), 0.0, nv)
 }
 
-/// ∫ f_s nl dω of a dielectric by the midpoint rule around the mirrored view, whose polar angle is πs⁴: rings crowd where
+/// ∫ f_s nl dω at normal-incidence reflectance `f0` by the midpoint rule around the mirrored view, whose polar angle is πs⁴: rings crowd where
 /// the lobe is sharp. Written out from the BRDF's definition, apart from the library.
-fn albedo(nv: f64, r: f64) -> f64 {
+fn albedo(nv: f64, r: f64, f0: f64) -> f64 {
     const RINGS: usize = 1500;
     const SECTORS: usize = 256;
     let sv = (1.0 - nv * nv).sqrt();
@@ -89,7 +93,7 @@ fn albedo(nv: f64, r: f64) -> f64 {
             let sin2 = (h[0] * h[0] + h[1] * h[1]) / (length * length);
             let d = a2 / (PI * (a2 + sin2 * (1.0 - a2)).powi(2));
             let g = l[2] / (l[2] * (1.0 - k) + k) * nv / (nv * (1.0 - k) + k);
-            let f = 0.04 + 0.96 * 2f64.powf((-5.55472 * vh - 6.98316) * vh);
+            let f = f0 + (1.0 - f0) * 2f64.powf((-5.55472 * vh - 6.98316) * vh);
             sum += cell * d * f * g / (4.0 * nv);
         }
     }
@@ -107,11 +111,13 @@ fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
     let lighting = Lighting { tracer: &exact, radiance: &one, environment: None };
     let noise = Tolerance { absolute: 0.0, relative: 0.01 };
     for nv in [0.3, 0.5, 0.8, 1.0] {
-        let expected: Vec<f64> = (0..NODES).map(|k| albedo(f64::from(nv), f64::from(node(k)))).collect();
         let pixel = floor_pixel(from_above(nv), 5);
-        for (cosine, light, lights) in [(256, 0, Lights::none(&mesh)), (64, 64, lamp(&mesh))] {
+        let dim = (DIELECTRIC, 256, 0, Lights::none(&mesh));
+        for (f0, cosine, light, lights) in [dim, (DIELECTRIC, 64, 64, lamp(&mesh)), (WHITE, 64, 64, lamp(&mesh))] {
+            let of_node = |k| albedo(f64::from(nv), f64::from(node(k)), f64::from(f0));
+            let expected: Vec<f64> = (0..NODES).map(of_node).collect();
             let sampling = TableSampling { lobe: 256, cosine, light, seed: 1 };
-            let got = red(specular_table(&lighting, &lights, &pixel, sampling));
+            let got = red(specular_table(&lighting, &lights, &pixel, f0, sampling));
             noise.check(&format!("albedo at nv {nv}"), &got, &expected);
             // Negative control: the lobe of a node further on is another one.
             assert!(noise.failures(&got[6..], &expected[..NODES - 6]).len() > NODES / 4);
@@ -140,7 +146,7 @@ fn a_small_lamp_shines_as_in_shading_at_every_node() {
     let noise = Tolerance { absolute: 0.0, relative: 0.03 };
     let table = |lights: &Lights, light| {
         let sampling = TableSampling { lobe: 8192, cosine: 8192, light, seed: 1 };
-        let all = red(specular_table(&lighting, lights, &pixel, sampling));
+        let all = red(specular_table(&lighting, lights, &pixel, DIELECTRIC, sampling));
         ks.map(|k| all[k])
     };
     let lights = lamp(&mesh);
@@ -191,18 +197,20 @@ fn wgsl_and_twin_agree() {
     let lighting = Lighting { tracer: &exact, radiance: &radiance, environment: None };
     for lights in [lights, Lights::none(&scene.mesh)] {
         backend.set_tbl(&radiance, &lights).unwrap();
-        for (lobe, cosine, light) in [(2, 2, 6), (1, 0, 3), (0, 3, 0), (3, 5, 7)] {
+        for (f0, lobe, cosine, light) in
+            [(DIELECTRIC, 2, 2, 6), (WHITE, 1, 0, 3), (DIELECTRIC, 0, 3, 0), (WHITE, 3, 5, 7)]
+        {
             let sampling = TableSampling { lobe, cosine, light, seed: 11 };
-            let got = flat(&backend.specular_tables(&pixels, sampling, &Silent).unwrap());
-            let twin = |p| specular_table::<f64, _>(&lighting, &lights, p, sampling);
+            let got = flat(&backend.specular_tables(&pixels, f0, sampling, &Silent).unwrap());
+            let twin = |p| specular_table::<f64, _>(&lighting, &lights, p, f0, sampling);
             let expected: Vec<f64> = pixels.iter().flat_map(twin).flat_map(|n| n.0).collect();
-            HALF.check(&format!("tables by {sampling:?}"), &got, &expected);
+            HALF.check(&format!("tables at {f0} by {sampling:?}"), &got, &expected);
             // Negative control: another seed draws other samples.
-            let other = backend.specular_tables(&pixels, TableSampling { seed: 12, ..sampling }, &Silent).unwrap();
+            let other = backend.specular_tables(&pixels, f0, TableSampling { seed: 12, ..sampling }, &Silent).unwrap();
             assert!(HALF.failures(&flat(&other), &expected).len() > pixels.len());
         }
         let none = TableSampling { lobe: 0, cosine: 0, light: 0, seed: 11 };
-        assert!(flat(&backend.specular_tables(&pixels, none, &Silent).unwrap()).iter().all(|&c| c == 0.0));
+        assert!(flat(&backend.specular_tables(&pixels, DIELECTRIC, none, &Silent).unwrap()).iter().all(|&c| c == 0.0));
     }
 }
 
@@ -215,13 +223,17 @@ fn how_work_is_cut_changes_nothing() {
     backend.set_tbl(&radiance, &lights).unwrap();
     let pixels = pixels(&scene, &mut backend, 7);
     let sampling = TableSampling { lobe: 2, cosine: 2, light: 6, seed: 3 };
-    let whole = backend.specular_tables(&pixels, sampling, &Silent).unwrap();
-    let pieces = pixels.chunks(53).flat_map(|p| backend.specular_tables(p, sampling, &Silent).unwrap());
+    let whole = backend.specular_tables(&pixels, DIELECTRIC, sampling, &Silent).unwrap();
+    let pieces = pixels.chunks(53).flat_map(|p| backend.specular_tables(p, DIELECTRIC, sampling, &Silent).unwrap());
     assert!(whole == pieces.collect::<Vec<_>>());
     // More samples than one dispatch takes: all of them count.
     let sampling = TableSampling { lobe: 50, cosine: 130, light: 75, seed: 3 };
     let mut cpu = CpuBackend::new(&scene);
     cpu.set_tbl(&radiance, &lights).unwrap();
-    let expected = flat(&cpu.specular_tables(&pixels[..40], sampling, &Silent).unwrap());
-    HALF.check("many samples", &flat(&backend.specular_tables(&pixels[..40], sampling, &Silent).unwrap()), &expected);
+    let expected = flat(&cpu.specular_tables(&pixels[..40], DIELECTRIC, sampling, &Silent).unwrap());
+    HALF.check(
+        "many samples",
+        &flat(&backend.specular_tables(&pixels[..40], DIELECTRIC, sampling, &Silent).unwrap()),
+        &expected,
+    );
 }

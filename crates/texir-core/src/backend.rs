@@ -277,12 +277,14 @@ pub trait Backend {
         d_radiance: &[[f32; 3]],
     ) -> Result<Vec<MaterialGrad>>;
 
-    /// Specular tables: the specular radiance of a dielectric at every pixel as a function of roughness, from light samples
-    /// that are drawn once and weighed at every tabulated roughness; unbiased at each. A pixel is the mean over its strata.
-    /// Advances `progress` by the rays traced.
+    /// Specular tables: the specular radiance of a surface with normal-incidence reflectance `f0` at every pixel as a function
+    /// of roughness, from light samples that are drawn once and weighed at every tabulated roughness; unbiased at each. A
+    /// pixel is the mean over its strata. Which samples are drawn does not depend on `f0`. Advances `progress` by the rays
+    /// traced.
     fn specular_tables(
         &mut self,
         pixels: &[[ShadePoint; STRATA]],
+        f0: f32,
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>>;

@@ -158,6 +158,7 @@ pub fn evaluate(
     let truth = capture.truth.as_ref().map(|truth| Textures {
         albedo: truth.albedo.clone(),
         roughness: truth.roughness.clone(),
+        metallic: None,
         ..textures.clone()
     });
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();

@@ -21,6 +21,8 @@ use crate::render::Textures;
 pub const ALBEDO: &str = "albedo.exr";
 /// Perceptual roughness, OpenEXR.
 pub const ROUGHNESS: &str = "roughness.exr";
+/// 1 where the surface is metal, OpenEXR; `texir fit --metallic` writes it.
+pub const METALLIC: &str = "metallic.exr";
 /// Irradiance E (cosine included, not divided by π), OpenEXR.
 pub const IRRADIANCE: &str = "irradiance.exr";
 /// Emitted radiance, OpenEXR.
@@ -54,9 +56,10 @@ pub const CORRECTIONS: &str = "corrections.json";
 pub const REPORT: &str = "report.html";
 
 /// Every file of the folder.
-const FILES: [&str; 17] = [
+const FILES: [&str; 18] = [
     ALBEDO,
     ROUGHNESS,
+    METALLIC,
     IRRADIANCE,
     EMISSION,
     CONFIDENCE,
@@ -118,9 +121,12 @@ pub struct FitOutput {
 impl FitOutput {
     /// Writes mesh and textures.
     pub fn save(&self, folder: &Path) -> Result<()> {
-        let Textures { albedo, roughness, irradiance, emission, diffuse } = &self.textures;
+        let Textures { albedo, roughness, metallic, irradiance, emission, diffuse } = &self.textures;
         write_rgb(folder.join(ALBEDO), albedo)?;
         write_gray(folder.join(ROUGHNESS), roughness)?;
+        if let Some(metallic) = metallic {
+            write_gray(folder.join(METALLIC), metallic)?;
+        }
         write_rgb(folder.join(IRRADIANCE), irradiance)?;
         write_rgb(folder.join(EMISSION), emission)?;
         if let Some(confidence) = &self.confidence {
@@ -141,15 +147,16 @@ impl FitOutput {
             ));
         }
         let Scattering { diffuse } = Scattering::read(&folder.join(MATERIALS))?;
+        let optional = |name: &str| Some(folder.join(name)).filter(|path| path.is_file()).map(read_gray).transpose();
         let textures = Textures {
             diffuse,
             albedo: read_rgb(folder.join(ALBEDO))?,
             roughness: read_gray(folder.join(ROUGHNESS))?,
+            metallic: optional(METALLIC)?,
             irradiance: read_rgb(folder.join(IRRADIANCE))?,
             emission: read_rgb(folder.join(EMISSION))?,
         };
-        let confidence = folder.join(CONFIDENCE);
-        let confidence = if confidence.is_file() { Some(read_gray(confidence)?) } else { None };
+        let confidence = optional(CONFIDENCE)?;
         let tbl = Tbl::read(folder.join(HDR_TEXTURE), progress)?;
         Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, tbl, textures, confidence })
     }

@@ -9,13 +9,15 @@ use rayon::prelude::*;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, ShadePoint};
+use crate::brdf::{self, DIELECTRIC_F0};
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::Result;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
-use crate::progress::Progress;
+use crate::progress::{Progress, Silent};
 use crate::raster::{Gray, Mask, Raster, Rgb};
+use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{STRATA, TableSampling};
 use crate::surface::Hit;
@@ -47,6 +49,8 @@ pub struct Textures {
     pub albedo: Rgb,
     /// Perceptual roughness.
     pub roughness: Gray,
+    /// 1 where the surface is metal; `None` if it is nowhere.
+    pub metallic: Option<Gray>,
     /// Irradiance E: cosine included, not divided by π.
     pub irradiance: Rgb,
     /// Emitted radiance; 0 where nothing glows.
@@ -150,7 +154,11 @@ impl<'a> Renderer<'a> {
                 .par_iter()
                 .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], [0.0; 3]); STRATA])
                 .collect();
-            let curves = self.backend.specular_tables(&points, self.sampling, progress)?;
+            let curves = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, self.sampling, progress)?;
+            let metals = textures.iter().any(|textures| textures.metallic.is_some());
+            // Unasked-for rays are not counted: they depend on the textures.
+            let white_points = if metals { &points[..] } else { &[] };
+            let white = self.backend.specular_tables(white_points, 1.0, self.sampling, &Silent)?;
             progress.advance((pixels.len() * STRATUM.len() - strata.len()) as u64 * u64::from(self.sampling.rays()));
             let seen: Vec<u32> = sub_pixels(&fine, pixels, &ALL).filter(|&i| hits[i as usize].is_hit()).collect();
             for (radiance, textures) in radiance.iter_mut().zip(textures) {
@@ -161,14 +169,24 @@ impl<'a> Renderer<'a> {
                 };
                 let view = |pixels| Seen { camera: &fine, hits: &hits, pixels };
                 let values = self.look_up_all(&view(&strata), textures)?;
-                for ((&i, curve), &roughness) in strata.iter().zip(&curves).zip(&values.roughness) {
-                    add(i, STRATUM.len(), curve.at(roughness).0);
+                for (k, (&i, curve)) in strata.iter().zip(&curves).enumerate() {
+                    let dielectric = curve.at(values.roughness[k]).0;
+                    let f0 = brdf::f0(V3(values.albedo[k]), values.metallic[k]);
+                    // Linear in F0, and known at two.
+                    let white = white.get(k).map_or(dielectric, |white| white.at(values.roughness[k]).0);
+                    let share = |c: usize| (f0.0[c] - DIELECTRIC_F0 as f32) / (1.0 - DIELECTRIC_F0 as f32);
+                    add(
+                        i,
+                        STRATUM.len(),
+                        std::array::from_fn(|c| dielectric[c] + share(c) * (white[c] - dielectric[c])),
+                    );
                 }
                 let values = self.look_up_all(&view(&seen), textures)?;
                 for (k, &i) in seen.iter().enumerate() {
                     let point = ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], values.irradiance[k]);
                     let factor = textures.diffuse.factor(point.cosine(), values.roughness[k]) * FRAC_1_PI;
-                    let diffuse = |c: usize| values.albedo[k][c] * values.irradiance[k][c] * factor;
+                    let diffuse =
+                        |c: usize| values.albedo[k][c] * (1.0 - values.metallic[k]) * values.irradiance[k][c] * factor;
                     add(i, ALL.len(), std::array::from_fn(|c| diffuse(c) + values.emission[k][c]));
                 }
             }
@@ -184,12 +202,16 @@ impl<'a> Renderer<'a> {
         let irradiance = self.look_up_rgb(&textures.irradiance, seen, &mut known)?;
         let Raster { width, height, data } = &textures.roughness;
         let roughness = self.look_up((*width, *height), data, 1, seen, &mut known)?;
+        let metallic = match &textures.metallic {
+            Some(Raster { width, height, data }) => self.look_up((*width, *height), data, 1, seen, &mut known)?,
+            None => vec![0.0; roughness.len()],
+        };
         let emission = &textures.emission;
         let index = self.pyramid(emission.size())?;
         let footprints = seen.bilinear(&self.pyramids[index], &self.scene.mesh);
         let texels = bytemuck::cast_slice(&emission.data);
         let emission = self.backend.lookup(&self.pyramids[index], texels, 3, &footprints)?.as_chunks::<3>().0.to_vec();
-        Ok(Values { albedo, roughness, irradiance, emission })
+        Ok(Values { albedo, roughness, metallic, irradiance, emission })
     }
 
     fn look_up_rgb(&mut self, texture: &Rgb, seen: &Seen<'_>, known: &mut Known) -> Result<Vec<[f32; 3]>> {
@@ -264,6 +286,7 @@ impl Seen<'_> {
 struct Values {
     albedo: Vec<[f32; 3]>,
     roughness: Vec<f32>,
+    metallic: Vec<f32>,
     irradiance: Vec<[f32; 3]>,
     emission: Vec<[f32; 3]>,
 }
@@ -272,6 +295,7 @@ impl Values {
     fn append(&mut self, mut other: Self) {
         self.albedo.append(&mut other.albedo);
         self.roughness.append(&mut other.roughness);
+        self.metallic.append(&mut other.metallic);
         self.irradiance.append(&mut other.irradiance);
         self.emission.append(&mut other.emission);
     }

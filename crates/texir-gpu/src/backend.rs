@@ -177,13 +177,16 @@ impl Backend for GpuBackend<'_> {
     fn specular_tables(
         &mut self,
         pixels: &[[ShadePoint; STRATA]],
+        f0: f32,
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
         countable(pixels.len())?;
         let light = (&self.geometry, lighting_of(&self.lighting)?);
         let gpu = self.context.gpu.clone();
-        gpu.guarded("specular_table", || specular_table::run(&mut self.context, light, pixels, sampling, progress))
+        gpu.guarded("specular_table", || {
+            specular_table::run(&mut self.context, light, (pixels, f0), sampling, progress)
+        })
     }
 
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {

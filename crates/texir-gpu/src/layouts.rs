@@ -119,6 +119,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 cosine_samples,
                 light_samples,
                 seed,
+                f0,
                 lobes,
                 nodes,
             }),

@@ -34,6 +34,9 @@ pub struct Fit {
     /// How materials are found: the program's own way, or the paper's three stages [default: full]
     #[arg(long, value_name = "MODE")]
     mode: Option<Mode>,
+    /// Look for segments of bare metal, which takes twice the light samples; without, everything is a dielectric
+    #[arg(long)]
+    metallic: bool,
     /// What the fit may have in memory, such as 2GiB; views are read at a lower resolution to keep to it [default: 8GiB]
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
@@ -65,7 +68,9 @@ impl Fit {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let mut config = session.config.clone();
         config.fit.mode = self.mode.map_or(config.fit.mode, fit::Mode::from);
+        config.fit.full.metallic.enabled |= self.metallic;
         config.fit.max_memory = self.max_memory.unwrap_or(config.fit.max_memory);
+        config.fit.validate()?;
         let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
         let mut capture = self.capture.load(session)?;
@@ -107,8 +112,8 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let output = FitOutput { mesh: scene.mesh, tbl, textures, confidence };
     let folder = staging.folder();
     output.save(folder)?;
-    let Textures { albedo, roughness, emission, .. } = &output.textures;
-    let materials = Materials { albedo, roughness, metallic: None, emission: Some(emission) };
+    let Textures { albedo, roughness, metallic, emission, .. } = &output.textures;
+    let materials = Materials { albedo, roughness, metallic: metallic.as_ref(), emission: Some(emission) };
     write_glb(folder.join(SCENE), &output.mesh, &materials, Up::Z)?;
     let cameras: Vec<_> = capture.views.iter().map(|v| v.camera.position()).collect();
     plan.write_png(&folder.join(ROOMS), &cameras)?;

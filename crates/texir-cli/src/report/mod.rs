@@ -122,7 +122,7 @@ impl ViewPanel {
 
 /// The page's pictures of a fit's textures.
 pub fn texture_figures(textures: &Textures, confidence: Option<&Gray>) -> Result<Vec<TextureFigure>, Failure> {
-    let Textures { albedo, roughness, irradiance, .. } = textures;
+    let Textures { albedo, roughness, metallic, irradiance, .. } = textures;
     let diffuse = irradiance.map(|p| p.map(|c| c * std::f32::consts::FRAC_1_PI));
     let figure = |name, (width, height): (usize, usize), shown: &str, picture| TextureFigure {
         name,
@@ -134,6 +134,9 @@ pub fn texture_figures(textures: &Textures, confidence: Option<&Gray>) -> Result
         figure("Roughness", roughness.size(), ", black 0, white 1", Picture::value_texture(roughness)?),
         figure("Irradiance", irradiance.size(), ", shown as E/π", Picture::linear_texture(&diffuse)?),
     ];
+    if let Some(metallic) = metallic {
+        figures.push(figure("Metallic", metallic.size(), ", white metal", Picture::value_texture(metallic)?));
+    }
     if let Some(confidence) = confidence {
         let note = ": black where roughness is a guess";
         figures.push(figure("Confidence", confidence.size(), note, Picture::value_texture(confidence)?));
@@ -218,6 +221,7 @@ mod tests {
         let textures = Textures {
             albedo: bands(0.0),
             roughness: Gray::filled(256, 128, 0.5),
+            metallic: None,
             irradiance: bands(1.0),
             emission: bands(2.0),
             diffuse: DiffuseModel::Lambert,

@@ -137,6 +137,7 @@ fn unknown_and_impossible_settings() {
         assert_eq!(capture.outputs(), ["settings.toml"]);
     }
     refused(&capture, &["--set", "fit.emitter_ratio=0.0"], &["--set", "emitter_ratio", "above 0"]);
+    refused(&capture, &["--mode", "paper", "--metallic"], &["full.metallic.enabled", "paper", "mode full"]);
     refused(&capture, &["--set", "fit.emitter=3.0"], &["--set", "unknown field", "emitter"]);
 }
 

@@ -372,6 +372,18 @@ fn full_mode_is_the_default_and_its_backends_agree() {
 }
 
 #[test]
+fn no_metal_is_found_where_there_is_none() {
+    let capture = Capture::new();
+    let (input, out) = (capture.path(), capture.out("out"));
+    let quick = ["--metallic", "--set", "fit.atlas_size=64", "--set", "fit.irradiance_samples=64", "--no-eval"];
+    let paths = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str()];
+    succeed(&[&paths[..], &quick.map(AsRef::as_ref)].concat());
+    let metallic = texir_core::image_io::read_gray(out.join("metallic.exr")).unwrap();
+    assert_eq!(metallic.size(), (64, 64));
+    assert!(metallic.data.iter().all(|&m| m == 0.0));
+}
+
+#[test]
 fn the_seed_decides_the_result() {
     let capture = Capture::new();
     let input = capture.path();

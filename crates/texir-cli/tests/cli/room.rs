@@ -245,7 +245,7 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
         irradiance =
             bake::irradiance(backend, &atlas, gather, &Checkpoints::none(), &Silent).unwrap().map(&atlas, Buried::Fill);
     }
-    Textures { albedo, roughness, irradiance, emission, diffuse: DiffuseModel::Lambert }
+    Textures { albedo, roughness, metallic: None, irradiance, emission, diffuse: DiffuseModel::Lambert }
 }
 
 /// Emission + a/π · E.

@@ -201,12 +201,13 @@ impl Backend for CpuBackend<'_> {
     fn specular_tables(
         &mut self,
         pixels: &[[ShadePoint; STRATA]],
+        f0: f32,
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(pixels, progress, u64::from(sampling.rays()), |_, strata| {
-            Curve::new(specular_table::specular_table(&lighting, lights, strata, sampling).map(V3::to_f32))
+            Curve::new(specular_table::specular_table(&lighting, lights, strata, f0, sampling).map(V3::to_f32))
         })
     }
 

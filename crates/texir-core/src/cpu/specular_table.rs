@@ -5,7 +5,7 @@ use super::irradiance::cosine_direction;
 use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::ShadePoint;
-use crate::brdf::{DIELECTRIC_F0, basis, distribution_at, fresnel_weight, masking, sample_cos2};
+use crate::brdf::{basis, distribution_at, fresnel_weight, masking, sample_cos2};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -18,6 +18,7 @@ pub fn specular_table<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
     lights: &Lights,
     strata: &[ShadePoint; STRATA],
+    f0: f32,
     sampling: TableSampling,
 ) -> [V3<R>; NODES] {
     let seed = hash2(sampling.seed, strata[0].sequence);
@@ -28,7 +29,7 @@ pub fn specular_table<R: Real, T: Trace<R>>(
         let nv = V3::<R>::of(point.normal).dot(V3::of(point.view)).max(R::of(0.0)).min(R::of(1.0));
         let seen = nodes.map(|r| masking(nv, r) * R::of(0.25));
         let table = lights.table(point.position.into(), point.normal.into());
-        let drawn = Drawn { lighting, lights, table, point, sampling, nodes: &nodes, seen: &seen };
+        let drawn = Drawn { lighting, lights, table, point, f0, sampling, nodes: &nodes, seen: &seen };
         let sequence = |technique: usize, samples: u32| {
             let first = stratum as u32 * samples;
             (first..first + samples).map(move |i| (i, hash2(seed, technique as u32)))
@@ -59,6 +60,7 @@ struct Drawn<'a, R, T> {
     /// Of the lights, at this point.
     table: &'a [f32],
     point: &'a ShadePoint,
+    f0: f32,
     sampling: TableSampling,
     /// Roughness of every node.
     nodes: &'a [R; NODES],
@@ -99,7 +101,7 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
             return;
         }
         let fresnel = fresnel_weight(lobe.vh);
-        let fresnel = R::of(DIELECTRIC_F0) * (one - fresnel) + fresnel;
+        let fresnel = R::of(f64::from(self.f0)) * (one - fresnel) + fresnel;
         let light = self.lighting.radiance_at(&hit) * (lobe.nl * fresnel / self.density(&lobe, &hit, direction));
         // f_s / F = D g(nl) g(nv) / 4.
         for ((sum, &r), &seen) in sums.iter_mut().zip(self.nodes).zip(self.seen) {

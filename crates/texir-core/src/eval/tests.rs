@@ -39,6 +39,7 @@ fn textures() -> Textures {
     Textures {
         albedo: rgb(&|i| [0.2 + 0.01 * (i % 31) as f32, 0.5, 0.3 + 0.02 * (i % 17) as f32]),
         roughness: Gray::filled(width, height, 0.4),
+        metallic: None,
         irradiance: rgb(&|i| [1.0 + 0.02 * (i % 23) as f32; 3]),
         emission: rgb(&|_| [0.0; 3]),
         diffuse: DiffuseModel::Lambert,

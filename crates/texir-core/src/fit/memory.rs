@@ -23,7 +23,8 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
         // taps per sub-pixel, both ways.
         Mode::Paper => (150, (settings.footprint_samples * settings.footprint_samples) as u64 * 192),
         // Votes, solver vectors, lighting; footprints both ways, costs by roughness, a share of a curve, solver vectors.
-        Mode::Full => (250, 500),
+        // Where metals are sought, another share of a curve, and costs as metal.
+        Mode::Full => (250, if settings.full.metallic.enabled { 700 } else { 500 }),
     }
 }
 

@@ -67,6 +67,8 @@ pub struct Materials {
     pub albedo: Rgb,
     /// Perceptual roughness.
     pub roughness: Gray,
+    /// 1 where the surface is metal, 0 elsewhere; full mode tells when asked.
+    pub metallic: Option<Gray>,
     /// Irradiance E with which the materials explain the images.
     pub irradiance: Rgb,
     /// The diffuse model that albedo belongs to.
@@ -162,8 +164,8 @@ pub fn fit(
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
         Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
     };
-    let Materials { albedo, roughness, irradiance, diffuse, confidence } = materials;
-    let textures = Textures { albedo, roughness, irradiance, emission, diffuse };
+    let Materials { albedo, roughness, metallic, irradiance, diffuse, confidence } = materials;
+    let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse };
     timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })

@@ -87,6 +87,27 @@ pub struct FullSettings {
     pub roughness: RoughnessSettings,
     /// Few colours per segment.
     pub palette: PaletteSettings,
+    /// Segments of metal.
+    pub metallic: MetallicSettings,
+}
+
+/// Which segments are metal: with F0 = albedo and nothing diffuse. It takes a second set of light samples.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MetallicSettings {
+    /// Look for metals; without, everything is a dielectric.
+    pub enabled: bool,
+    /// By how much metal must explain a segment better than a dielectric: the fall of the logarithm of its mean cost. Few things
+    /// in a room are bare metal.
+    pub gain: f32,
+    /// Roughness up to which metal can be told from a dielectric.
+    pub roughest: f32,
+}
+
+impl Default for MetallicSettings {
+    fn default() -> Self {
+        Self { enabled: false, gain: 0.3, roughest: 0.5 }
+    }
 }
 
 /// Which diffuse model is fitted.
@@ -301,6 +322,7 @@ impl Default for FullSettings {
             albedo: AlbedoSettings::default(),
             roughness: RoughnessSettings::default(),
             palette: PaletteSettings::default(),
+            metallic: MetallicSettings::default(),
         }
     }
 }
@@ -389,7 +411,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 26] {
+    fn checks(&self) -> [Check; 28] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -423,6 +445,8 @@ impl FullSettings {
             positive("full.palette.bandwidth", p.bandwidth),
             positive("full.palette.reach", p.reach),
             share("full.palette.least_share", p.least_share),
+            not_negative("full.metallic.gain", self.metallic.gain),
+            roughness("full.metallic.roughest", self.metallic.roughest),
         ]
     }
 }
@@ -512,6 +536,11 @@ impl FitSettings {
                 "in [0, 1]",
             ),
         ];
+        if self.mode == Mode::Paper && self.full.metallic.enabled {
+            return Err(Error::invalid(
+                "setting full.metallic.enabled is true, but mode is paper, in which everything is a dielectric; use mode full",
+            ));
+        }
         match checks.iter().chain(&self.full.checks()).find(|(_, _, ok, _)| !ok) {
             Some((name, value, _, allowed)) => {
                 Err(Error::invalid(format!("setting {name} is {value}; it must be {allowed}")))

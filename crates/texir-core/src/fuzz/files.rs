@@ -242,7 +242,8 @@ fn results_of_a_fit() {
     let gray = Gray::filled(4, 2, 0.5);
     let [albedo, irradiance, emission] = [0.5, 1.0, 0.0].map(|v| Rgb::filled(4, 2, [v; 3]));
     let diffuse = DiffuseModel::Lambert;
-    let textures = Textures { albedo, roughness: gray.clone(), irradiance, emission, diffuse };
+    let textures =
+        Textures { albedo, roughness: gray.clone(), metallic: Some(gray.clone()), irradiance, emission, diffuse };
     let fit = FitOutput { mesh: mesh(), tbl: texture_with_coverage(), textures, confidence: Some(gray) };
     fit.save(folder.path()).unwrap();
     survives(&folder, &["materials.json", "albedo.exr"], IMAGE, |folder| {

@@ -43,18 +43,41 @@ fn difference(image: &Rgb, other: &Rgb) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / b.iter().sum::<f32>()
 }
 
+fn textures(diffuse: DiffuseModel, roughness: f32) -> Textures {
+    let rgb = |value: f32| Rgb::filled(16, 8, [value; 3]);
+    Textures {
+        albedo: rgb(ALBEDO),
+        roughness: Gray::filled(16, 8, roughness),
+        metallic: None,
+        irradiance: rgb(IRRADIANCE),
+        emission: rgb(0.0),
+        diffuse,
+    }
+}
+
+/// The camera's view of the scene, made of one `material`, by shading every sub-pixel.
+fn shaded(backend: &mut CpuBackend<'_>, scene: &Scene, material: Material) -> Rgb {
+    let fine = camera().supersampled(SUB_PIXELS);
+    let hits = backend.primary(&fine).unwrap();
+    let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
+    let point = |&i: &u32| ShadePoint::new(&scene.mesh, &fine, i, &hits[i as usize], [IRRADIANCE; 3]);
+    let points: Vec<ShadePoint> = seen.iter().map(point).collect();
+    let materials = vec![material; points.len()];
+    let sampling = Sampling { samples: 1024, seed: 5 };
+    let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
+    let mut image = Rgb::filled(16, 8, [0.0; 3]);
+    for (&i, shaded) in seen.iter().zip(&shaded) {
+        let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
+        let sum = &mut image.data[y * 16 + x];
+        *sum = std::array::from_fn(|c| sum[c] + shaded.radiance[c] / (SUB_PIXELS * SUB_PIXELS) as f32);
+    }
+    image
+}
+
 #[test]
 fn views_agree_with_shading_of_every_sub_pixel() {
     let (scene, radiance) = scene();
     let roughness = 0.3;
-    let rgb = |value: f32| Rgb::filled(16, 8, [value; 3]);
-    let textures = |diffuse, roughness| Textures {
-        albedo: rgb(ALBEDO),
-        roughness: Gray::filled(16, 8, roughness),
-        irradiance: rgb(IRRADIANCE),
-        emission: rgb(0.0),
-        diffuse,
-    };
     let mut backend = CpuBackend::new(&scene);
     let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 1024, 1).unwrap();
     let lambert = textures(DiffuseModel::Lambert, roughness);
@@ -63,23 +86,27 @@ fn views_agree_with_shading_of_every_sub_pixel() {
     let [rendered, burley, smoother] =
         renderer.render_each(&camera(), [&lambert, &burley, &smoother], &Silent).unwrap();
 
-    let fine = camera().supersampled(SUB_PIXELS);
-    let hits = backend.primary(&fine).unwrap();
-    let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-    let point = |&i: &u32| ShadePoint::new(&scene.mesh, &fine, i, &hits[i as usize], [IRRADIANCE; 3]);
-    let points: Vec<ShadePoint> = seen.iter().map(point).collect();
-    let materials = vec![Material::dielectric([ALBEDO; 3], roughness); points.len()];
-    let sampling = Sampling { samples: 1024, seed: 5 };
-    let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
-    let mut expected = Rgb::filled(16, 8, [0.0; 3]);
-    for (&i, shaded) in seen.iter().zip(&shaded) {
-        let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
-        let sum = &mut expected.data[y * 16 + x];
-        *sum = std::array::from_fn(|c| sum[c] + shaded.radiance[c] / (SUB_PIXELS * SUB_PIXELS) as f32);
-    }
+    let expected = shaded(&mut backend, &scene, Material::dielectric([ALBEDO; 3], roughness));
     let off = difference(&rendered, &expected);
     assert!(off < 0.01, "{off}");
     // Negative controls: another roughness and another diffuse model show.
     assert!(difference(&smoother, &expected) > 2.0 * off, "{off} {}", difference(&smoother, &expected));
     assert!(difference(&burley, &expected) > 2.0 * off, "{off} {}", difference(&burley, &expected));
+}
+
+#[test]
+fn metal_mirrors_in_its_own_colour() {
+    let (scene, radiance) = scene();
+    let mut backend = CpuBackend::new(&scene);
+    let dielectric = textures(DiffuseModel::Lambert, 0.3);
+    for metallic in [1.0, 0.4] {
+        let metal = Textures { metallic: Some(Gray::filled(16, 8, metallic)), ..dielectric.clone() };
+        let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 8192, 1).unwrap();
+        let [rendered, plain] = renderer.render_each(&camera(), [&metal, &dielectric], &Silent).unwrap();
+        let material = Material { metallic, ..Material::dielectric([ALBEDO; 3], 0.3) };
+        let expected = shaded(&mut backend, &scene, material);
+        let off = difference(&rendered, &expected);
+        assert!(off < 0.02, "metallic {metallic}: {off}");
+        assert!(difference(&plain, &expected) > 10.0 * off, "metallic {metallic}: {off}");
+    }
 }

@@ -31,7 +31,7 @@ pub(crate) struct SpecularTableParams {
     pub cosine_samples: u32,
     pub light_samples: u32,
     pub seed: u32,
-    pub pad: u32,
+    pub f0: f32,
     pub lobes: [f32; 8],
     pub nodes: [f32; NODES],
 }
@@ -44,6 +44,7 @@ struct SpecularTable<'a> {
     geometry: &'a Geometry,
     lighting: &'a Lighting,
     pixels: &'a [[ShadePoint; STRATA]],
+    f0: f32,
     sampling: TableSampling,
     out: Vec<Curve>,
 }
@@ -80,7 +81,7 @@ impl Gathering for SpecularTable<'_> {
             cosine_samples: self.sampling.cosine,
             light_samples: self.sampling.light,
             seed: self.sampling.seed,
-            pad: 0,
+            f0: self.f0,
             lobes: from_fn(|lobe| LOBES.get(lobe).copied().unwrap_or(0.0)),
             nodes: from_fn(node),
         });
@@ -105,7 +106,7 @@ impl Gathering for SpecularTable<'_> {
 pub(crate) fn run(
     ctx: &mut Context,
     (geometry, lighting): (&Geometry, &Lighting),
-    pixels: &[[ShadePoint; STRATA]],
+    (pixels, f0): (&[[ShadePoint; STRATA]], f32),
     sampling: TableSampling,
     progress: &dyn Progress,
 ) -> Result<Vec<Curve>> {
@@ -116,7 +117,7 @@ pub(crate) fn run(
         TECHNIQUES.map(|t| ctx.kernel("specular_table", "specular_table", Some(("TECHNIQUE", t))));
     let samples = [LOBES.len() as u32 * sampling.lobe, sampling.cosine, sampling.light].map(|n| STRATA as u32 * n);
     let out = Vec::with_capacity(pixels.len());
-    let mut pass = SpecularTable { kernels: [lobes?, cosine?, lights?], geometry, lighting, pixels, sampling, out };
+    let mut pass = SpecularTable { kernels: [lobes?, cosine?, lights?], geometry, lighting, pixels, f0, sampling, out };
     ctx.gather(pixels.len(), samples, SHAPE, progress, &mut pass)?;
     progress.advance(pixels.len() as u64 * u64::from(asked - sampling.rays()));
     Ok(pass.out)

@@ -1,7 +1,9 @@
 //! Albedo as one sparse, robust least-squares problem over all views, for given roughness.
 //!
-//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's factor and E_p = Σ w_t E_t; both sides are albedos. Its weight is
-//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Adjacency in a
+//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's factor and
+//! E_p = Σ w_t E_t; both sides are albedos. A metal has no diffuse part, and its albedo is F0: with S = F0 P + Q, the row is
+//! Σ_t w_t (π P/E_p) a_t = (I − Q) π/E_p, of the same unit, so that misfits compare. A row's weight is
+//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Neighbours in a
 //! segment are drawn together by a Cauchy loss as well, so that edges survive, and every texel weakly to its segment's
 //! mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs (iteratively
 //! re-weighted least squares).
@@ -11,10 +13,11 @@ use rayon::prelude::*;
 
 use super::observations::Observations;
 use super::palette::Palettes;
+use crate::brdf::DIELECTRIC_F0;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
-use crate::specular_table::node;
+use crate::specular_table::{Curve, node};
 
 /// Items per task of a parallel loop.
 const BLOCK: usize = 4096;
@@ -25,6 +28,33 @@ pub enum Roughness<'a> {
     Node(usize),
     /// One for each pixel.
     PerPixel(&'a [f32]),
+}
+
+impl Roughness<'_> {
+    /// That of a pixel.
+    fn of(&self, pixel: usize) -> f32 {
+        match self {
+            Self::Node(k) => node(*k),
+            Self::PerPixel(r) => r[pixel],
+        }
+    }
+
+    /// A pixel's curve there.
+    fn along(&self, curve: &Curve, pixel: usize) -> Vec3A {
+        Vec3A::from(match self {
+            Self::Node(k) => curve.at_node(*k),
+            Self::PerPixel(r) => curve.at(r[pixel]).0,
+        })
+    }
+}
+
+/// What the pixels say about albedo at some roughness: gain_p Σ_t w_t s_t a_t = albedo_p, where s_t is the texel's
+/// [`AlbedoProblem::strength`].
+pub struct Target {
+    /// Right-hand sides, as albedos.
+    pub albedo: Vec<Vec3A>,
+    /// Factors of the rows; 0 for a pixel that says nothing.
+    gain: Vec<Vec3A>,
 }
 
 /// The problem, apart from roughness.
@@ -39,6 +69,8 @@ pub struct AlbedoProblem<'a> {
     pub segment: (&'a [u32], usize),
     /// How diffuse radiance depends on the direction to the camera.
     pub diffuse: DiffuseModel,
+    /// Which texels are metal; empty where none is.
+    pub metal: Vec<bool>,
     /// Weights.
     pub settings: &'a AlbedoSettings,
     /// π/E of each pixel.
@@ -55,7 +87,8 @@ impl<'a> AlbedoProblem<'a> {
         diffuse: DiffuseModel,
         settings: &'a AlbedoSettings,
     ) -> Self {
-        let mut problem = Self { seen, irradiance, adjacency, segment, diffuse, settings, per_irradiance: Vec::new() };
+        let (metal, per_irradiance) = (Vec::new(), Vec::new());
+        let mut problem = Self { seen, irradiance, adjacency, segment, diffuse, metal, settings, per_irradiance };
         // A pixel in complete darkness says nothing: its weight vanishes with E.
         let bright = irradiance.iter().map(|e| e.max_element()).fold(0.0, f32::max);
         let floor = Vec3A::splat((1e-6 * bright).max(f32::MIN_POSITIVE));
@@ -109,35 +142,57 @@ impl<'a> AlbedoProblem<'a> {
         sums.into_iter().map(|s| if s.1 > 0.0 { mean(s) } else { mean(all) }).collect()
     }
 
-    /// (I − S) π/(E d): what each pixel says its albedo is, at the roughness that its surface has. S is the specular
-    /// radiance and d the diffuse model's factor.
-    pub fn target(&self, roughness: &Roughness<'_>) -> Vec<Vec3A> {
-        (0..self.seen.len())
+    /// What each pixel says at the roughness that its surface has. One that sees metal and something else says nothing.
+    pub fn target(&self, roughness: &Roughness<'_>) -> Target {
+        let (albedo, gain) = (0..self.seen.len())
             .into_par_iter()
             .with_min_len(BLOCK)
             .map(|p| {
-                let (r, specular) = match roughness {
-                    Roughness::Node(k) => (node(*k), self.seen.curve(p).at_node(*k)),
-                    Roughness::PerPixel(r) => (r[p], self.seen.curve(p).at(r[p]).0),
-                };
-                let factor = self.diffuse.factor(self.seen.cosine[p], r);
-                (self.seen.radiance[p] - Vec3A::from(specular)) * self.per_irradiance[p] / factor
+                let (r, per) = (roughness.of(p), self.per_irradiance[p]);
+                let specular = roughness.along(self.seen.curve(p), p);
+                match self.is_metal(p) {
+                    Some(false) => {
+                        let factor = self.diffuse.factor(self.seen.cosine[p], r);
+                        ((self.seen.radiance[p] - specular) * per / factor, per * std::f32::consts::FRAC_1_PI)
+                    }
+                    Some(true) => {
+                        let f0 = DIELECTRIC_F0 as f32;
+                        let scale = (roughness.along(self.seen.white_curve(p), p) - specular) / (1.0 - f0);
+                        let grazing = specular - f0 * scale;
+                        ((self.seen.radiance[p] - grazing) * per, scale * per)
+                    }
+                    None => (Vec3A::ZERO, Vec3A::ZERO),
+                }
             })
-            .collect()
+            .unzip();
+        Target { albedo, gain }
     }
 
-    /// W(E a)/E_p: the albedo that each pixel sees, weighted by irradiance.
-    pub fn seen_albedo(&self, albedo: &[Vec3A]) -> Vec<Vec3A> {
-        let radiosity: Vec<Vec3A> = albedo.par_iter().zip(self.irradiance).map(|(a, e)| *a * *e).collect();
-        (self.looked_up(&radiosity), &self.per_irradiance)
-            .into_par_iter()
-            .map(|(b, per)| b * *per * std::f32::consts::FRAC_1_PI)
-            .collect()
+    /// Whether a pixel sees metal; `None` for one that sees both.
+    fn is_metal(&self, pixel: usize) -> Option<bool> {
+        if self.metal.is_empty() {
+            return Some(false);
+        }
+        let mut seen = self.seen.rows.row(pixel).iter().map(|tap| self.metal[tap.texel as usize]);
+        let first = seen.next().unwrap_or(false);
+        seen.all(|metal| metal == first).then_some(first)
     }
 
-    /// W(E a)/E_p − target: the residual of each pixel, in albedo.
-    pub fn residual(&self, albedo: &[Vec3A], target: &[Vec3A]) -> Vec<Vec3A> {
-        (self.seen_albedo(albedo), target).into_par_iter().map(|(a, target)| a - *target).collect()
+    /// What a texel's albedo is weighted with in the rows: E, or 1 for metal, whose reflection differs from pixel to pixel.
+    pub fn strength(&self, texel: usize) -> Vec3A {
+        if self.metal.get(texel) == Some(&true) { Vec3A::ONE } else { self.irradiance[texel] }
+    }
+
+    /// The left-hand sides.
+    fn explained(&self, albedo: &[Vec3A], gain: &[Vec3A]) -> Vec<Vec3A> {
+        let radiosity: Vec<Vec3A> =
+            albedo.par_iter().enumerate().with_min_len(BLOCK).map(|(t, a)| *a * self.strength(t)).collect();
+        (self.looked_up(&radiosity), gain).into_par_iter().map(|(b, gain)| b * *gain).collect()
+    }
+
+    /// Left-hand sides − targets: the residual of each pixel, in albedo.
+    pub fn residual(&self, albedo: &[Vec3A], target: &Target) -> Vec<Vec3A> {
+        (self.explained(albedo, &target.gain), &target.albedo).into_par_iter().map(|(a, target)| a - *target).collect()
     }
 
     /// The colours of the segments, from the texels that are seen.
@@ -153,7 +208,7 @@ impl<'a> AlbedoProblem<'a> {
     }
 
     /// Improves `albedo` for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
-    pub fn solve(&self, albedo: &mut [Vec3A], target: &[Vec3A], sigma: &[f32], rounds: u32, iterations: u32) {
+    pub fn solve(&self, albedo: &mut [Vec3A], target: &Target, sigma: &[f32], rounds: u32, iterations: u32) {
         for _ in 0..rounds {
             let residual = self.residual(albedo, target);
             let base = self.settings.noise;
@@ -162,8 +217,8 @@ impl<'a> AlbedoProblem<'a> {
                 .map(|(e, s)| (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2)))
                 .collect();
             let means = self.segment_means(|t| (!self.seen.columns.row(t).is_empty()).then(|| albedo[t]));
-            let system = System { problem: self, weight, edges: self.edge_weights(albedo) };
-            let mut right = system.transposed(target);
+            let system = System { problem: self, gain: &target.gain, weight, edges: self.edge_weights(albedo) };
+            let mut right = system.transposed(&target.albedo);
             let prior = self.settings.segment_prior;
             right.par_iter_mut().zip(self.segment.0).for_each(|(r, s)| *r += prior * means[*s as usize]);
             conjugate_gradients(&system, albedo, &right, iterations);
@@ -195,6 +250,8 @@ impl<'a> AlbedoProblem<'a> {
 /// The normal equations of one re-weighting: A a = WᵀΩ target + prior.
 struct System<'a> {
     problem: &'a AlbedoProblem<'a>,
+    /// Of the rows.
+    gain: &'a [Vec3A],
     /// Ω: per pixel.
     weight: Vec<f32>,
     /// To the right and lower neighbour, per texel.
@@ -202,19 +259,17 @@ struct System<'a> {
 }
 
 impl System<'_> {
-    /// Rows to texels: E_t Σ_p w Ω_p v_p / E_p.
+    /// Rows to texels: s_t Σ_p w Ω_p gain_p v_p.
     fn transposed(&self, pixels: &[Vec3A]) -> Vec<Vec3A> {
         let p = self.problem;
-        let weighted: Vec<Vec3A> = (pixels, &self.weight, &p.per_irradiance)
-            .into_par_iter()
-            .map(|(v, w, per)| *v * *per * (*w * std::f32::consts::FRAC_1_PI))
-            .collect();
+        let weighted: Vec<Vec3A> =
+            (pixels, &self.weight, self.gain).into_par_iter().map(|(v, w, gain)| *v * *gain * *w).collect();
         (0..p.irradiance.len())
             .into_par_iter()
             .with_min_len(BLOCK)
             .map(|t| {
                 let taps = p.seen.columns.row(t);
-                p.irradiance[t] * taps.iter().map(|tap| weighted[tap.texel as usize] * tap.weight).sum::<Vec3A>()
+                p.strength(t) * taps.iter().map(|tap| weighted[tap.texel as usize] * tap.weight).sum::<Vec3A>()
             })
             .collect()
     }
@@ -222,7 +277,7 @@ impl System<'_> {
     /// A x.
     fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
         let p = self.problem;
-        let mut out = self.transposed(&p.seen_albedo(x));
+        let mut out = self.transposed(&p.explained(x, self.gain));
         out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
             *out += p.settings.segment_prior * x[t];
             for (n, weight) in self.links(t) {
@@ -235,13 +290,13 @@ impl System<'_> {
     /// The diagonal of A.
     fn diagonal(&self) -> Vec<Vec3A> {
         let p = self.problem;
-        let per = |pixel: u32| p.per_irradiance[pixel as usize] * std::f32::consts::FRAC_1_PI;
         (0..p.irradiance.len())
             .into_par_iter()
             .with_min_len(BLOCK)
             .map(|t| {
+                let strength = p.strength(t);
                 let square = |tap: &crate::texture::Tap| {
-                    let row = p.irradiance[t] * per(tap.texel) * tap.weight;
+                    let row = strength * self.gain[tap.texel as usize] * tap.weight;
                     row * row * self.weight[tap.texel as usize]
                 };
                 let data: Vec3A = p.seen.columns.row(t).iter().map(square).sum();
@@ -250,7 +305,7 @@ impl System<'_> {
             .collect()
     }
 
-    /// Adjacency of a texel with their weights.
+    /// Neighbours of a texel with their weights.
     fn links(&self, t: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
         let [left, right, up, down] = self.problem.adjacency.beside[t];
         let back = |n: u32, side: usize| if n == NONE { 0.0 } else { self.edges[n as usize][side] };

@@ -62,7 +62,7 @@ pub fn confidence(evidence: &Evidence, group: &[u32], groups: usize, half_believ
 }
 
 /// What the pixels of every group say.
-fn tallies(evidence: &Evidence, group: &[u32], groups: usize) -> Vec<Tally> {
+pub(super) fn tallies(evidence: &Evidence, group: &[u32], groups: usize) -> Vec<Tally> {
     let mut tallies = vec![Tally::default(); groups];
     for (pixel, group) in group.iter().enumerate().filter(|(_, group)| **group != NONE) {
         tallies[*group as usize].add(evidence, pixel);

@@ -9,7 +9,6 @@ use std::collections::HashMap;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::hidden;
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::capture::View;
@@ -119,8 +118,8 @@ impl Votes {
         });
     }
 
-    /// The label of every texel; `None` where there are no votes around, or hardly any.
-    pub fn count(self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency) -> Vec<Option<u16>> {
+    /// The label of every texel, each being part of a flat `surface`; `None` where there are no votes around, or hardly any.
+    pub fn count(self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency, surface: &[u32]) -> Vec<Option<u16>> {
         let Self(mut votes) = self;
         if votes.is_empty() {
             return vec![None; atlas.texels.len()];
@@ -143,16 +142,15 @@ impl Votes {
             };
             votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
         }
-        let surface = hidden::flat_surfaces(atlas, adjacency);
         let mut on_surface: HashMap<u32, Vec<f32>> = HashMap::new();
-        for (ballot, &surface) in votes.iter().zip(&surface).filter(|(ballot, _)| ballot.weight() > 0.0) {
+        for (ballot, &surface) in votes.iter().zip(surface).filter(|(ballot, _)| ballot.weight() > 0.0) {
             on_surface.entry(surface).or_default().push(ballot.weight());
         }
         let usual: HashMap<u32, f32> =
             on_surface.into_iter().map(|(surface, weights)| (surface, median(weights))).collect();
         let label =
             |(ballot, surface): (&Ballot, &u32)| ballot.winner().filter(|_| ballot.weight() >= SCARCE * usual[surface]);
-        votes.iter().zip(&surface).map(label).collect()
+        votes.iter().zip(surface).map(label).collect()
     }
 }
 
@@ -166,6 +164,7 @@ mod tests {
     use std::hash::{DefaultHasher, Hash, Hasher};
     use std::path::PathBuf;
 
+    use super::super::hidden;
     use super::super::segments::spread;
     use super::*;
     use crate::camera::Camera;
@@ -239,7 +238,7 @@ mod tests {
                 let sees = |t: usize| (!islet(t) || view < votes_on_islet).then_some(Witness { pixel: t, weight: 1.0 });
                 votes.add(&all.map(sees).collect::<Vec<_>>(), |t| if islet(t) { 2 } else { 1 });
             }
-            votes.count(&scene.mesh, &atlas, &adjacency)
+            votes.count(&scene.mesh, &atlas, &adjacency, &hidden::flat_surfaces(&atlas, &adjacency))
         };
         let middle = (0..atlas.points.len())
             .filter(|&t| islet(t))
@@ -281,7 +280,11 @@ mod tests {
                 seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
                 votes.add(&witnesses, |pixel| labels.data[pixel]);
             }
-            let fused = spread(votes.count(&scene.mesh, &atlas, &adjacency), &adjacency, |_| 0);
+            let fused = spread(
+                votes.count(&scene.mesh, &atlas, &adjacency, &hidden::flat_surfaces(&atlas, &adjacency)),
+                &adjacency,
+                |_| 0,
+            );
             let all = seen.iter().filter(|seen| **seen).count();
             let right = (0..truth.len()).filter(|&t| seen[t] && fused[t] == truth[t]).count();
             right as f64 / all as f64

@@ -1,6 +1,6 @@
 //! The fit in full mode: light samples drawn once, albedo by robust least squares, roughness by a scan per segment.
 //!
-//! observations → segments → scan → hierarchy → albedo. No ray is traced after the observations.
+//! observations → segments → scan (→ metals) → hierarchy → albedo. No ray is traced after the observations.
 
 pub mod albedo;
 pub mod blocks;
@@ -8,6 +8,7 @@ pub mod hidden;
 pub mod hierarchy;
 pub mod labels;
 pub mod local;
+pub mod metals;
 pub mod observations;
 pub mod palette;
 pub mod scan;
@@ -63,7 +64,6 @@ pub fn recover(
         AlbedoProblem::new(seen, &irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
     let Scanned { diffuse, mut albedo, evidence, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
-    problem.diffuse = diffuse;
     let sigma = problem.noise(settings.albedo.image_noise);
     let AlbedoSettings { rounds, iterations, .. } = settings.albedo;
 
@@ -82,11 +82,12 @@ pub fn recover(
     let outlier = hidden::outliers(&albedo, segment);
     let known = |t: usize| seen_at_all(t) && !outlier[t];
     hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
-    // What the images show stays what they show: irradiance takes what albedo gives up.
+    // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's.
+    const MOST: Vec3A = Vec3A::splat(10.0);
     let corrected: Vec<[f32; 3]> = (0..painted.len())
         .into_par_iter()
         .map(|t| {
-            let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(Vec3A::splat(0.5), Vec3A::splat(2.0));
+            let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(MOST.recip(), MOST);
             (irradiance[t] * if seen_at_all(t) { given_up } else { Vec3A::ONE }).to_array()
         })
         .collect();
@@ -94,9 +95,11 @@ pub fn recover(
     let all = vec![true; painted.len()];
     let sure = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);
     let confidence: Vec<f32> = segments.segment.iter().map(|&s| sure[s as usize]).collect();
+    let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
     Ok(Materials {
         albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
         roughness: atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
+        metallic: settings.metallic.enabled.then(|| atlas.scatter_padded(&metallic, &all, 0.0, bake::PADDING)),
         irradiance: atlas.scatter_padded(&corrected, &all, [0.0; 3], bake::PADDING),
         diffuse,
         confidence: Some(atlas.scatter_padded(&confidence, &all, 0.0, bake::PADDING)),
@@ -123,14 +126,42 @@ fn scan_models(
     for diffuse in settings.diffuse.candidates() {
         problem.diffuse = diffuse;
         let mut albedo = problem.start();
-        let evidence = scan::scan(problem, &settings.roughness, &mut albedo, progress)?;
+        let evidence = scan::scan(problem, &diffuse.to_string(), &settings.roughness, &mut albedo, progress)?;
         let by_segment = roughness(segments, &evidence, settings);
         let grazing = evidence.grazing(&by_segment);
         if best.as_ref().is_none_or(|(least, _)| grazing < *least) {
             best = Some((grazing, Scanned { diffuse, albedo, evidence, by_segment }));
         }
     }
-    best.map(|(_, scanned)| scanned).ok_or_else(|| Error::invalid("no diffuse model to choose from"))
+    let (_, mut scanned) = best.ok_or_else(|| Error::invalid("no diffuse model to choose from"))?;
+    problem.diffuse = scanned.diffuse;
+    if settings.metallic.enabled {
+        find_metals(problem, segments, settings, &mut scanned, progress)?;
+    }
+    Ok(scanned)
+}
+
+/// Scans once more as if everything were metal, and takes that for the segments which it explains clearly better.
+fn find_metals(
+    problem: &mut AlbedoProblem<'_>,
+    segments: &Segments,
+    settings: &FullSettings,
+    scanned: &mut Scanned,
+    progress: &dyn Progress,
+) -> Result<()> {
+    problem.metal = vec![true; segments.segment.len()];
+    let mut albedo = problem.start();
+    let evidence = scan::scan(problem, "metal", &settings.roughness, &mut albedo, progress)?;
+    let pixels = settings.roughness.segment_pixels;
+    let metal = metals::find([&scanned.evidence, &evidence], segments.count, pixels, &settings.metallic);
+    problem.metal = segments.segment.iter().map(|s| metal[*s as usize]).collect();
+    scanned.evidence.take(&evidence, &metal);
+    (&mut scanned.albedo, albedo, &problem.metal)
+        .into_par_iter()
+        .filter(|(_, _, metal)| **metal)
+        .for_each(|(albedo, of_metal, _)| *albedo = of_metal);
+    scanned.by_segment = roughness(segments, &scanned.evidence, settings);
+    Ok(())
 }
 
 /// Roughness of every texel, by the colours of its segment.

@@ -5,9 +5,11 @@ use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
 use super::blocks::{self, AXIS, Blocks, Patch};
+use super::hidden;
 use super::labels::{Votes, witnesses};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
+use crate::brdf::DIELECTRIC_F0;
 use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
@@ -33,14 +35,18 @@ pub struct Observations {
     pub cosine: Vec<f32>,
     /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
     pub area: Vec<f32>,
-    /// Specular radiance by roughness, of blocks of pixels;
+    /// Specular radiance of a dielectric by roughness, of blocks of pixels;
     pub curves: Vec<Curve>,
+    /// likewise at F0 = 1, where metals are sought;
+    pub white_curves: Vec<Curve>,
     /// which of them each pixel is part of.
     pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
     pub rows: Rows,
     /// The transpose of `rows`: by texel, the pixels that see it.
     pub columns: Rows,
+    /// The flat surface that each texel is part of.
+    pub surface: Vec<u32>,
     /// Semantic class of each texel, as the views voted; `None` where there is no vote around.
     pub class: Vec<Option<u16>>,
     /// Room of each texel as the capture names them, likewise.
@@ -60,9 +66,14 @@ impl Observations {
         self.radiance.is_empty()
     }
 
-    /// Specular radiance of pixel `p` by roughness.
+    /// Specular radiance of pixel `p` by roughness, if it shows a dielectric.
     pub fn curve(&self, p: usize) -> &Curve {
         &self.curves[self.block[p] as usize]
+    }
+
+    /// Specular radiance of pixel `p` by roughness, if it shows a white metal. Metals must be sought.
+    pub fn white_curve(&self, p: usize) -> &Curve {
+        &self.white_curves[self.block[p] as usize]
     }
 }
 
@@ -87,7 +98,9 @@ pub struct Observer<'a> {
 impl Observer<'_> {
     /// Observes the views. The backend holds the full TBL and its lights.
     pub fn observe(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Observations> {
+        let tables = 1 + u64::from(self.settings.metallic.enabled);
         let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>()
+            * tables
             * u64::from(self.settings.sampling(self.seed, 0).rays());
         progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
@@ -97,7 +110,9 @@ impl Observer<'_> {
             self.observe_one(backend, view, &index, (&mut all, &mut votes), progress)?;
         }
         progress.finish();
-        [all.class, all.room] = votes.map(|votes| votes.count(&self.scene.mesh, self.atlas, self.adjacency));
+        all.surface = hidden::flat_surfaces(self.atlas, self.adjacency);
+        [all.class, all.room] =
+            votes.map(|votes| votes.count(&self.scene.mesh, self.atlas, self.adjacency, &all.surface));
         if all.is_empty() {
             return Err(Error::invalid(
                 "no pixel of a training view shows a surface that is not a light source: check the cameras against the \
@@ -167,15 +182,22 @@ impl Observer<'_> {
             blocks::share(&indices, &patches, view.camera.width, self.settings.block_edge(&view.camera));
         let number = all.views.len() as u32;
         let sampling = self.settings.sampling(self.seed, number);
-        let mut skipped = view.camera.pixels();
         let first = all.curves.len() as u32;
-        all.curves.extend(self.checkpoints.array(&format!("view-{number}"), || {
-            skipped -= corners.len();
-            let strata: Vec<[ShadePoint; STRATA]> =
-                corners.par_iter().map(|pixels| std::array::from_fn(|k| points_of(pixels[k])[k])).collect();
-            backend.specular_tables(&strata, sampling, progress)
-        })?);
-        progress.advance(skipped as u64 * u64::from(sampling.rays()));
+        let mut tables = |step: &str, f0: f32| {
+            let mut skipped = view.camera.pixels();
+            let curves = self.checkpoints.array(step, || {
+                skipped -= corners.len();
+                let strata: Vec<[ShadePoint; STRATA]> =
+                    corners.par_iter().map(|pixels| std::array::from_fn(|k| points_of(pixels[k])[k])).collect();
+                backend.specular_tables(&strata, f0, sampling, progress)
+            })?;
+            progress.advance(skipped as u64 * u64::from(sampling.rays()));
+            Ok::<Vec<Curve>, Error>(curves)
+        };
+        all.curves.extend(tables(&format!("view-{number}"), DIELECTRIC_F0 as f32)?);
+        if self.settings.metallic.enabled {
+            all.white_curves.extend(tables(&format!("view-{number}-white"), 1.0)?);
+        }
         all.block.extend(of.iter().map(|block| first + block));
         all.cosine.extend(shown.iter().map(|(cosine, _)| cosine));
         all.area.extend(shown.iter().map(|(_, area)| area));

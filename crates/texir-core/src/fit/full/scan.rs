@@ -35,6 +35,16 @@ impl Evidence {
         let (sum, count) = of_pixels.fold((0.0, 0u64), |(sum, n), slope| (sum + slope, n + 1));
         sum / count.max(1) as f64
     }
+
+    /// Takes what `other` says of the segments of which `which` is true.
+    pub fn take(&mut self, other: &Self, which: &[bool]) {
+        for (p, segment) in self.segment.iter().enumerate() {
+            if *segment != NONE && which[*segment as usize] {
+                self.cost[p] = other.cost[p];
+            }
+        }
+        (0..self.slope.len()).filter(|s| which[*s]).for_each(|s| self.slope[s] = other.slope[s]);
+    }
 }
 
 /// Cost below which nothing counts as explained better: images and models are not that exact.
@@ -78,14 +88,15 @@ impl Tally {
 }
 
 /// Scans all nodes from rough to smooth, the albedo of one node being the start of the next. `albedo` is left at the
-/// smoothest node's.
+/// smoothest node's. `model` names what is assumed, for progress.
 pub fn scan(
     problem: &AlbedoProblem<'_>,
+    model: &str,
     settings: &RoughnessSettings,
     albedo: &mut [Vec3A],
     progress: &dyn Progress,
 ) -> Result<Evidence> {
-    progress.start(&format!("roughness scan, {}", problem.diffuse), NODES as u64, "roughnesses");
+    progress.start(&format!("roughness scan, {model}"), NODES as u64, "roughnesses");
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
@@ -94,7 +105,7 @@ pub fn scan(
         progress.check()?;
         // What is known of the grazing terms from rougher nodes is no business of albedo.
         let mut target = problem.target(&Roughness::Node(k));
-        (&mut target, &segment, &problem.seen.cosine).into_par_iter().for_each(|(target, segment, cosine)| {
+        (&mut target.albedo, &segment, &problem.seen.cosine).into_par_iter().for_each(|(target, segment, cosine)| {
             if *segment != NONE {
                 *target += known(&slope[*segment as usize], k) * grazing(*cosine);
             }

@@ -32,9 +32,8 @@ pub fn segment(
     seen: &Observations,
     plan: &FloorPlan,
 ) -> Segments {
-    let surface = hidden::flat_surfaces(atlas, adjacency);
     let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
-        spread(hidden::label(atlas, &surface, known, texel), adjacency, otherwise)
+        spread(hidden::label(atlas, &seen.surface, known, texel), adjacency, otherwise)
     };
     let class = everywhere(&seen.class, &|_| 0);
     let planned: Vec<u16> =

@@ -60,6 +60,10 @@ struct Toy {
 }
 
 fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
+    toy_of(|t| Material::dielectric(albedo(t).to_array(), roughness), height)
+}
+
+fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let (scene, radiance) = room();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, 2 * FLOOR, FLOOR).unwrap();
@@ -97,14 +101,14 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
     }
     let points: Vec<ShadePoint> = strata.iter().map(|s| s[0]).collect();
     let texel = |p: usize| seen.rows.taps[p].texel as usize;
-    let materials: Vec<Material> =
-        (0..points.len()).map(|p| Material::dielectric(albedo(texel(p)).to_array(), roughness)).collect();
+    let materials: Vec<Material> = (0..points.len()).map(|p| material(texel(p))).collect();
     // The images come from shading, which draws its samples otherwise than the tables do.
     let sampling = Sampling { samples: 1 << 14, seed: 7 };
     let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
     seen.radiance = shaded.iter().map(|s| Vec3A::from(s.radiance)).collect();
     let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, seed: 5 };
-    seen.curves = backend.specular_tables(&strata, sampling, &Silent).unwrap();
+    seen.curves = backend.specular_tables(&strata, 0.04, sampling, &Silent).unwrap();
+    seen.white_curves = backend.specular_tables(&strata, 1.0, sampling, &Silent).unwrap();
     seen.block = (0..strata.len() as u32).collect();
     seen.columns = seen.rows.transposed(atlas.texels.len());
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
@@ -125,7 +129,7 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
         let toy = toy(|t| Vec3A::new(0.3, 0.5, 0.4) + 0.02 * (t % 5) as f32, truth, 1.0);
         let problem = toy.problem(&settings);
         let mut albedo = problem.start();
-        let evidence = scan(&problem, &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
+        let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
         let level = Level { group: &group, parent: &[0.5], pull: 0.0, half_believed: 0.0 };
         let found = settle(&evidence, &level)[0];
@@ -153,6 +157,39 @@ fn the_diffuse_model_is_the_one_that_the_images_were_made_with() {
         let mut problem = toy.problem(&settings.albedo);
         let scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
         assert_eq!(scanned.diffuse, truth);
+    }
+}
+
+#[test]
+fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
+    use super::scan_models;
+    use super::segments::Segments;
+    use crate::fit::settings::{DiffuseChoice, FullSettings, MetallicSettings};
+    let mut settings = FullSettings { diffuse: DiffuseChoice::Is(DiffuseModel::Lambert), ..FullSettings::default() };
+    let copper = Vec3A::new(0.95, 0.64, 0.54);
+    for (metallic, roughness) in [(1.0, 0.1), (1.0, 0.25), (0.0, 0.1), (0.0, 0.25), (0.0, 0.9)] {
+        let material = Material { metallic, ..Material::dielectric(copper.to_array(), roughness) };
+        let toy = toy_of(|_| material, 1.0);
+        let texels = toy.segment.len();
+        let segments =
+            Segments { class: vec![1; texels], class_in_room: vec![0; texels], segment: toy.segment.clone(), count: 2 };
+        let floor = toy.segment.iter().position(|s| *s == 0).unwrap();
+        let mut metal = |enabled| {
+            settings.metallic = MetallicSettings { enabled, ..MetallicSettings::default() };
+            let mut problem = toy.problem(&settings.albedo);
+            let mut scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
+            let r = vec![scanned.by_segment[0]; toy.seen.len()];
+            let sigma = problem.noise(settings.albedo.image_noise);
+            problem.solve(&mut scanned.albedo, &problem.target(&Roughness::PerPixel(&r)), &sigma, 3, 25);
+            (problem.metal.get(floor).copied().unwrap_or(false), r[0], scanned.albedo[floor])
+        };
+        let (is_metal, r, albedo) = metal(true);
+        assert_eq!(is_metal, metallic == 1.0, "metallic {metallic}, r {roughness}");
+        assert!((r - roughness).abs() < 0.03, "metallic {metallic}, r {roughness}: found {r}");
+        assert!((albedo - copper).abs().max_element() < 0.03, "metallic {metallic}, r {roughness}: {albedo}");
+        // Negative control: taken for a dielectric, metal has another colour.
+        let (is_metal, _, albedo) = metal(false);
+        assert!(!is_metal && (metallic == 0.0 || (albedo - copper).abs().max_element() > 0.1), "{albedo}");
     }
 }
 

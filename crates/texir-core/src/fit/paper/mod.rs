@@ -57,6 +57,7 @@ pub fn fit(
     Ok(Materials {
         albedo,
         roughness,
+        metallic: None,
         irradiance: ground.irradiance.clone(),
         diffuse: DiffuseModel::Lambert,
         confidence: None,
