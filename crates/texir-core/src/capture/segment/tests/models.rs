@@ -35,7 +35,7 @@ pub enum Head {
     Unknown,
     /// The first class within so many pixels from the border.
     Framed(i64),
-    /// 0 / 0.
+    /// No number.
     Nan,
 }
 
@@ -99,9 +99,8 @@ impl Model {
                 nodes.push(node("Add", &["scores", "frame"], "output", vec![]));
             }
             Head::Nan => {
-                constants.push(floats("zero", &[], vec![0.0]));
-                nodes.push(node("Mul", &["scores", "zero"], "zeros", vec![]));
-                nodes.push(node("Div", &["zeros", "zeros"], "output", vec![]));
+                constants.push(floats("nan", &[], vec![f32::NAN]));
+                nodes.push(node("Mul", &["scores", "nan"], "output", vec![]));
             }
         }
         let graph = GraphProto {
