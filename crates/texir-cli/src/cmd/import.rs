@@ -6,6 +6,7 @@ use clap::Args;
 use glam::Vec3;
 use serde::Serialize;
 use texir_core::capture::import::{self, ImportOptions, Written};
+use texir_core::capture::segment::Segmenter;
 use texir_core::image_io::TransferCurve;
 
 use super::Session;
@@ -27,6 +28,12 @@ pub struct Import {
     /// Last resort for 8 and 16-bit images, whose lamps are clipped: srgb, linear or gamma=2.2
     #[arg(long, value_name = "CURVE")]
     curve: Option<TransferCurve>,
+    /// Find semantic ids with this segmentation model, instead of those of the source (builds with `--features onnx`)
+    #[arg(long, value_name = "MODEL.onnx", requires = "classes")]
+    segment: Option<PathBuf>,
+    /// What the model tells apart, in the order of its outputs: ade20k, coco, nyu40, or a JSON file
+    #[arg(long, value_name = "FILE", requires = "segment")]
+    classes: Option<String>,
     /// Link to images that need no change, instead of copying them
     #[arg(long)]
     link: bool,
@@ -100,8 +107,14 @@ struct Summary {
 impl Import {
     /// Reads, converts and writes.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        let options =
-            ImportOptions { curve: self.curve, link: self.link, ..self.source_args.options(self.mesh.clone()) };
+        let models = self.segment.iter().zip(&self.classes);
+        let segmenter = models.map(|(model, classes)| Segmenter::open(model, classes)).next().transpose()?;
+        let options = ImportOptions {
+            curve: self.curve,
+            link: self.link,
+            segmenter,
+            ..self.source_args.options(self.mesh.clone())
+        };
         let read = import::read(&self.source, &options, session.console)?;
         let written = import::write(&read, &self.output, &options, session.console)?;
         let summary = Summary { output: self.output.clone(), format: read.format, assumed: read.assumed, written };
@@ -112,6 +125,9 @@ impl Import {
             }
             if written.decoded > 0 {
                 out += &format!(", {} decoded from 8 or 16 bits", written.decoded);
+            }
+            if written.segmented > 0 {
+                out += ", segmented";
             }
             for line in &summary.assumed {
                 out += &format!("\nassumed: {line}");

@@ -64,6 +64,22 @@ fn a_list_of_panoramas_becomes_the_capture_that_it_came_from() {
     again.complains(&["transforms.json already", "new or empty folder"]);
 }
 
+/// Every build knows the options; one without inference says how to get it.
+#[test]
+fn a_model_that_cannot_be_run_is_refused_before_the_import() {
+    let (capture, _) = panoramas();
+    let (source, out, model) = (capture.path(), capture.out("imported"), capture.file("model.onnx"));
+    std::fs::write(&model, "no model").unwrap();
+    let import = ["import".as_ref(), source.as_os_str(), "-o".as_ref(), out.as_os_str()];
+    let with = |more: &[&std::ffi::OsStr]| run(&[&import[..], more].concat());
+    with(&["--segment".as_ref(), model.as_os_str()]).complains(&["--classes"]);
+    let refused = with(&["--segment".as_ref(), model.as_os_str(), "--classes".as_ref(), "ade20k".as_ref()]);
+    let why =
+        if cfg!(feature = "onnx") { "is no ONNX model that can be read" } else { "build it with `--features onnx`" };
+    refused.complains(&["model.onnx", why]);
+    assert!(!out.exists());
+}
+
 #[test]
 fn brackets_become_one_linear_image() {
     let capture = Capture::new();

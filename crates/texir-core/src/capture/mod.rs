@@ -7,6 +7,7 @@ pub mod import;
 mod load;
 pub mod nerfstudio;
 mod pose;
+pub mod segment;
 mod tbl_file;
 mod view;
 

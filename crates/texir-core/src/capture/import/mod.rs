@@ -24,6 +24,7 @@ use glam::Vec3;
 
 pub use self::lens::Distortion;
 pub use self::write::{Written, write};
+use super::segment::Segmenter;
 use super::{Capture, View};
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
@@ -105,6 +106,8 @@ pub struct ImportOptions {
     pub unwrap: bool,
     /// Link to images that need no change, instead of copying them.
     pub link: bool,
+    /// Makes the semantic images, instead of those of the source.
+    pub segmenter: Option<Segmenter>,
 }
 
 /// A source in texir's frame: metres, +Z up. Lenses are as they were.

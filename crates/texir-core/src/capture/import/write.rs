@@ -27,6 +27,8 @@ pub struct Written {
     pub undistorted: usize,
     /// Views whose 8 or 16-bit values were decoded.
     pub decoded: usize,
+    /// Views whose semantic ids are a model's.
+    pub segmented: usize,
     /// Pixels of those that were clipped: their light is unknown.
     pub clipped_pixels: usize,
 }
@@ -79,6 +81,10 @@ pub fn write(
         ));
     }
     let mut views: Vec<View> = converted.into_iter().map(|c| c.view).collect();
+    if let Some(segmenter) = &options.segmenter {
+        segmenter.label(&mut views, out, progress)?;
+        written.segmented = views.len();
+    }
     if let Some(classes) = views.iter().find_map(|view| view.classes.clone()) {
         let classes = Arc::new(classes.bring(out)?);
         views.iter_mut().for_each(|view| view.classes = Some(classes.clone()));
@@ -127,12 +133,16 @@ impl Job<'_> {
             Some(path) => read_encoded(path)?.opaque,
             None => own_opacity,
         };
+        let semantic = match self.options.segmenter {
+            Some(_) => None,
+            None => view.read_semantic()?,
+        };
         Ok(Converted {
             view: View {
                 name: view.name.clone(),
                 camera: lens.map_or(view.camera, |lens| lens.pinhole),
                 image,
-                semantic: self.labels(view.read_semantic()?, lens, size, file("semantic", "png"))?,
+                semantic: self.labels(semantic, lens, size, file("semantic", "png"))?,
                 mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png"))?,
                 room: self.labels(
                     view.room.as_deref().map(read_labels).transpose()?,
