@@ -1,5 +1,5 @@
-//! Which segments are metal. A smooth metal mirrors its surroundings with up to twenty-five times a dielectric's strength and in its own
-//! colour, which no dielectric can; a rough one looks like any diffuse surface, and is not told from one.
+//! Which segments are metal. A smooth metal mirrors its surroundings with up to twenty-five times a dielectric's strength and
+//! in its own colour, which no dielectric can; a rough one looks like any diffuse surface, and is not told from one.
 
 use super::hierarchy::tallies;
 use super::scan::{Evidence, Tally};
