@@ -155,7 +155,8 @@ impl<'a> Renderer<'a> {
                 .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], [0.0; 3]); STRATA])
                 .collect();
             let curves = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, self.sampling, progress)?;
-            let metals = textures.iter().any(|textures| textures.metallic.is_some());
+            let is_metal = |of: &&Textures| of.metallic.as_ref().is_some_and(|map| map.data.iter().any(|m| *m > 0.0));
+            let metals = textures.iter().any(is_metal);
             // Unasked-for rays are not counted: they depend on the textures.
             let white_points = if metals { &points[..] } else { &[] };
             let white = self.backend.specular_tables(white_points, 1.0, self.sampling, &Silent)?;

@@ -69,7 +69,7 @@ pub struct AlbedoProblem<'a> {
     pub segment: (&'a [u32], usize),
     /// How diffuse radiance depends on the direction to the camera.
     pub diffuse: DiffuseModel,
-    /// Which texels are metal; empty where none is.
+    /// Which texels are metal; empty where metals are not sought.
     pub metal: Vec<bool>,
     /// Weights.
     pub settings: &'a AlbedoSettings,
