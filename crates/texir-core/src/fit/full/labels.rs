@@ -121,9 +121,8 @@ impl Votes {
         let facing = |a: u32, b: u32| {
             Vec3::from(atlas.points[a as usize].normal).dot(atlas.points[b as usize].normal.into()) >= SAME_NORMAL
         };
-        let rounds = ((BLUR / size).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize;
         let mut votes = self.0.clone();
-        for _ in 0..rounds {
+        for _ in 0..rounds(BLUR, size) {
             let mean = |t: u32| {
                 let own = std::iter::once(t);
                 let sharing: Vec<u32> = own.chain(adjacency.around(t).filter(|&n| facing(t, n))).collect();
@@ -139,6 +138,11 @@ impl Votes {
         }
         votes.iter().map(Ballot::winner).collect()
     }
+}
+
+/// Averages with the neighbours that blur by a standard deviation, metres, on texels `size` wide.
+pub(super) fn rounds(deviation: f32, size: f32) -> usize {
+    ((deviation / size).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize
 }
 
 #[cfg(test)]

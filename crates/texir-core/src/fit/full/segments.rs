@@ -2,12 +2,12 @@
 
 use std::collections::VecDeque;
 
-use glam::Vec3;
+use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
-use super::hidden;
 use super::labels::Votes;
 use super::observations::Observations;
+use super::{automatic, hidden};
 use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
@@ -24,24 +24,32 @@ pub struct Segments {
     pub count: usize,
 }
 
-/// Labels the texels by the votes of the views, so that what one view mistakes the others correct. Texels around which
-/// there are none take the label of what is seen of their flat surface, or of the nearest texel along the mesh. Rooms are
-/// the capture's, where it names them, and else the floor plan's. `texel` is the edge of a typical texel, metres.
+/// Labels the texels by the votes of the views, so that what one view mistakes the others correct; where views have no
+/// classes, by geometry and their `albedo` ([`automatic`]). Texels around which there are none take the label of what is seen
+/// of their flat surface, or of the nearest texel along the mesh. Rooms are the capture's, where it names them, and else
+/// the floor plan's. `texel` is the edge of a typical texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
     seen: &Observations,
+    albedo: &[Vec3A],
     plan: &FloorPlan,
 ) -> Segments {
     let surface = hidden::flat_surfaces(atlas, adjacency);
-    let everywhere = |votes: &Votes, otherwise: &dyn Fn(usize) -> u16| {
-        let known = votes.labels(atlas, adjacency, texel);
-        spread(hidden::label(atlas, &surface, &known, texel), adjacency, otherwise)
+    let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
+        spread(hidden::label(atlas, &surface, known, texel), adjacency, otherwise)
     };
-    let class = everywhere(&seen.class, &|_| 0);
+    let voted = |votes: &Votes| votes.labels(atlas, adjacency, texel);
+    let class = if seen.class.is_empty() {
+        let is_seen = |t: usize| !seen.columns.row(t).is_empty();
+        automatic::classes((atlas, texel), adjacency, &surface, albedo, is_seen)
+    } else {
+        voted(&seen.class)
+    };
+    let class = everywhere(&class, &|_| 0);
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
-    let room = if seen.room.is_empty() { planned } else { everywhere(&seen.room, &|i| planned[i]) };
+    let room = if seen.room.is_empty() { planned } else { everywhere(&voted(&seen.room), &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.iter().copied().zip(room).collect();
     let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
     let mut pairs: Vec<(u16, u16)> = in_room.clone();
