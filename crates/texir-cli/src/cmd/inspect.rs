@@ -392,7 +392,7 @@ fn warnings(findings: &Findings) -> Vec<String> {
         ));
     }
     if findings.known.semantic == 0 {
-        warnings.push("no view has semantic classes: roughness cannot be propagated within a class".to_owned());
+        warnings.push("no view has semantic classes: a fit makes segments from geometry and colour alone".to_owned());
     }
     warnings
 }

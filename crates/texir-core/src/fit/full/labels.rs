@@ -127,8 +127,7 @@ impl Votes {
         let facing = |a: u32, b: u32| {
             Vec3::from(atlas.points[a as usize].normal).dot(atlas.points[b as usize].normal.into()) >= SAME_NORMAL
         };
-        let rounds = ((BLUR / atlas.typical_texel(mesh)).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize;
-        for _ in 0..rounds {
+        for _ in 0..rounds(BLUR, atlas.typical_texel(mesh)) {
             let mean = |t: u32| {
                 let own = std::iter::once(t);
                 let sharing: Vec<u32> = own.chain(adjacency.around(t).filter(|&n| facing(t, n))).collect();
@@ -157,6 +156,11 @@ impl Votes {
 fn median(mut values: Vec<f32>) -> f32 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+/// Averages with the neighbours that blur by a standard deviation, metres, on texels `size` wide.
+pub(super) fn rounds(deviation: f32, size: f32) -> usize {
+    ((deviation / size).powi(2) / VARIANCE_PER_ROUND).min(MAX_ROUNDS).round() as usize
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! observations → segments → scan (→ metals) → hierarchy → albedo. No ray is traced after the observations.
 
 pub mod albedo;
+pub mod automatic;
 pub mod blocks;
 pub mod hidden;
 pub mod hierarchy;
@@ -13,6 +14,8 @@ pub mod observations;
 pub mod palette;
 pub mod scan;
 pub mod segments;
+
+use std::f32::consts::PI;
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -27,6 +30,7 @@ use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::fit::settings::{AlbedoSettings, FullSettings};
 use crate::progress::Progress;
+use crate::raster::Rgb;
 use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
 use observations::{Observations, Observer};
@@ -47,6 +51,9 @@ pub fn fit(
     recover(ground, &seen, settings, progress)
 }
 
+/// Irradiance that is taken for none.
+const DARK: f32 = 1e-6;
+
 /// The materials that explain what is seen.
 pub fn recover(
     ground: &Ground<'_>,
@@ -56,9 +63,18 @@ pub fn recover(
 ) -> Result<Materials> {
     let Ground { scene, atlas, adjacency, .. } = *ground;
     let texel = atlas.typical_texel(&scene.mesh);
-    let segments = segments::segment((atlas, texel), adjacency, seen, ground.plan);
-    let irradiance: Vec<Vec3A> =
-        atlas.texels.iter().map(|&t| Vec3A::from(ground.irradiance.data[t as usize])).collect();
+    let of_texels = |map: &Rgb| -> Vec<Vec3A> { atlas.texels.iter().map(|&t| map.data[t as usize].into()).collect() };
+    let irradiance = of_texels(ground.irradiance);
+    let diffuse_albedo = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
+    let apparent: Vec<Vec3A> = of_texels(ground.radiance).into_iter().zip(&irradiance).map(diffuse_albedo).collect();
+    let segments = segments::segment((atlas, texel), adjacency, seen, &apparent, ground.plan);
+    if !seen.has_classes() {
+        progress.warn(&format!(
+            "no view has semantic classes: {} segments are made from geometry and colour alone, and surfaces that look alike \
+             share their roughness; semantic images tell them apart better",
+            segments.count
+        ));
+    }
     let segment = (&segments.segment[..], segments.count);
     let mut problem =
         AlbedoProblem::new(seen, &irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);

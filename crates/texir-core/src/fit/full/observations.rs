@@ -66,6 +66,11 @@ impl Observations {
         self.radiance.is_empty()
     }
 
+    /// Whether views have semantic classes.
+    pub fn has_classes(&self) -> bool {
+        self.class.iter().any(Option::is_some)
+    }
+
     /// Specular radiance of pixel `p` by roughness, if it shows a dielectric.
     pub fn curve(&self, p: usize) -> &Curve {
         &self.curves[self.block[p] as usize]

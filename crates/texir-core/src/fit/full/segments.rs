@@ -2,11 +2,11 @@
 
 use std::collections::VecDeque;
 
-use glam::Vec3;
+use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
-use super::hidden;
 use super::observations::Observations;
+use super::{automatic, hidden};
 use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
@@ -23,19 +23,26 @@ pub struct Segments {
     pub count: usize,
 }
 
-/// Segments the texels by the labels that the views voted for. Texels around which there are none take the label of what is
-/// seen of their flat surface, or of the nearest texel along the mesh. Rooms are the capture's, where it names them, and
-/// else the floor plan's. `texel` is the edge of a typical texel, metres.
+/// Segments the texels by the labels that the views voted for; where views have no classes, by geometry and their `albedo`
+/// ([`automatic`]). Texels around which there are none take the label of what is seen of their flat surface, or of the
+/// nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. `texel` is the edge
+/// of a typical texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
     seen: &Observations,
+    albedo: &[Vec3A],
     plan: &FloorPlan,
 ) -> Segments {
     let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
         spread(hidden::label(atlas, &seen.surface, known, texel), adjacency, otherwise)
     };
-    let class = everywhere(&seen.class, &|_| 0);
+    let class = if seen.has_classes() {
+        everywhere(&seen.class, &|_| 0)
+    } else {
+        let is_seen = |t: usize| !seen.columns.row(t).is_empty();
+        everywhere(&automatic::classes((atlas, texel), adjacency, &seen.surface, albedo, is_seen), &|_| 0)
+    };
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
     let room = if seen.room.iter().all(Option::is_none) { planned } else { everywhere(&seen.room, &|i| planned[i]) };

@@ -32,6 +32,12 @@ pub fn fit(
     log: &mut dyn FnMut(&EpochLog),
 ) -> Result<Materials> {
     let Ground { scene, atlas, .. } = *ground;
+    if training.iter().all(|view| view.semantic.is_none()) {
+        progress.warn(
+            "no view has semantic classes: everything counts as one class, within which roughness is propagated; full mode \
+             makes segments from geometry and colour",
+        );
+    }
     let pyramid = atlas.pyramid();
     let surroundings = Surroundings { ground, pyramid: &pyramid, footprint_samples: settings.footprint_samples };
     backend.set_tbl(ground.emission, &Lights::none(&scene.mesh))?;

@@ -1,0 +1,192 @@
+//! Classes for captures without semantics: regions of one colour on flat surfaces, those of like colour that face alike
+//! being one class.
+//!
+//! Where semantics tell what things are, geometry and colour tell where one thing ends. Colour is that of the HDR texture
+//! under its irradiance.
+
+use glam::Vec3A;
+use rayon::prelude::*;
+
+use super::labels;
+use super::palette::Palettes;
+use super::segments::connected;
+use crate::atlas::Atlas;
+use crate::fit::adjacency::Adjacency;
+use crate::fit::settings::PaletteSettings;
+
+/// Colours of a flat surface: a rug on a floor, but neither its pattern nor the shine of a window on it.
+const ON_A_SURFACE: PaletteSettings =
+    PaletteSettings { bandwidth: 0.25, colours: 8, least_share: 0.03, strength: 0.0, reach: 1.0 };
+/// Colours of all regions, by which they are classes.
+const IN_THE_SCENE: PaletteSettings =
+    PaletteSettings { bandwidth: 0.08, colours: 20, least_share: 0.002, strength: 0.0, reach: 1.0 };
+/// Colours are blurred by this standard deviation before, metres.
+const BLUR: f32 = 0.05;
+/// Regions that are smaller, square metres, and not the largest of their surface, are part of what surrounds them.
+const SMALLEST: f32 = 0.1;
+/// A region faces where its mean normal points, if that is at least so long.
+const FACES: f32 = 0.7;
+
+/// What a region is like.
+#[derive(Clone, Copy, Default)]
+struct Region {
+    texels: f32,
+    colour: Vec3A,
+    normal: Vec3A,
+}
+
+impl Region {
+    fn mean_colour(&self) -> Vec3A {
+        self.colour / self.texels.max(1.0)
+    }
+
+    /// Up, down, sideways, or all around.
+    fn facing(&self) -> u16 {
+        let normal = self.normal / self.texels.max(1.0);
+        match normal.z {
+            z if z > FACES => 0,
+            z if z < -FACES => 1,
+            _ if normal.length() > FACES => 2,
+            _ => 3,
+        }
+    }
+}
+
+/// The class of every texel that is `seen`, apart from those of small regions. `surface` tells flat surfaces apart, `albedo`
+/// may be as rough as π · radiance / irradiance; `texel` is the edge of a typical texel, metres.
+pub fn classes(
+    (atlas, texel): (&Atlas, f32),
+    adjacency: &Adjacency,
+    surface: &[u32],
+    albedo: &[Vec3A],
+    seen: impl Fn(usize) -> bool + Sync,
+) -> Vec<Option<u16>> {
+    let together = |a: u32, b: u32| {
+        let (a, b) = (a as usize, b as usize);
+        surface[a] == surface[b] && seen(a) && seen(b)
+    };
+    let albedo = blurred(adjacency, together, albedo, texel);
+    let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);
+    let palettes = Palettes::find(&albedo, surface, surfaces, &seen, &ON_A_SURFACE);
+    let colour: Vec<usize> = (surface, &albedo).into_par_iter().map(|(s, a)| palettes.nearest(*s, *a)).collect();
+    let (of, count) =
+        connected(albedo.len(), adjacency, |a, b| together(a, b) && colour[a as usize] == colour[b as usize]);
+
+    let mut regions = vec![Region::default(); count];
+    let mut largest = vec![(0.0_f32, 0_u32); surfaces];
+    for (t, &r) in of.iter().enumerate().filter(|(t, _)| seen(*t)) {
+        let region = &mut regions[r as usize];
+        region.texels += 1.0;
+        region.colour += albedo[t];
+        region.normal += Vec3A::from(atlas.points[t].normal);
+        let largest = &mut largest[surface[t] as usize];
+        if region.texels > largest.0 {
+            *largest = (region.texels, r);
+        }
+    }
+    let stands = |t: usize| {
+        let large = regions[of[t] as usize].texels * texel * texel >= SMALLEST;
+        seen(t) && (large || largest[surface[t] as usize].1 == of[t])
+    };
+    let painted: Vec<Vec3A> = of.par_iter().map(|&r| regions[r as usize].mean_colour()).collect();
+    let palette = Palettes::find(&painted, &vec![0; painted.len()], 1, stands, &IN_THE_SCENE);
+    let class: Vec<u16> =
+        regions.par_iter().map(|r| 1 + 4 * palette.nearest(0, r.mean_colour()) as u16 + r.facing()).collect();
+    (0..of.len()).map(|t| stands(t).then(|| class[of[t] as usize])).collect()
+}
+
+/// Albedo averaged over neighbours that belong together.
+fn blurred(
+    adjacency: &Adjacency,
+    together: impl Fn(u32, u32) -> bool + Sync,
+    albedo: &[Vec3A],
+    texel: f32,
+) -> Vec<Vec3A> {
+    let mut albedo = albedo.to_vec();
+    for _ in 0..labels::rounds(BLUR, texel) {
+        let mean = |t: u32| {
+            let own = (albedo[t as usize], 1.0);
+            let around = adjacency.around(t).filter(|&n| together(t, n));
+            let (sum, count) = around.fold(own, |(sum, count), n| (sum + albedo[n as usize], count + 1.0));
+            sum / count
+        };
+        albedo = (0..albedo.len() as u32).into_par_iter().map(mean).collect();
+    }
+    albedo
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::hidden::flat_surfaces;
+    use super::*;
+    use crate::surface::SurfacePoint;
+
+    const SIDE: usize = 60;
+    const TEXEL: f32 = 0.05;
+
+    /// A floor, and a wall of the same paint beside it, `SIDE` × `SIDE` texels each.
+    fn floor_and_wall() -> (Atlas, Adjacency) {
+        let point = |t: usize| {
+            let (x, y) = ((t % SIDE) as f32 * TEXEL, (t / SIDE % SIDE) as f32 * TEXEL);
+            let (position, normal) =
+                if t < SIDE * SIDE { ([x, y, 0.0], [0.0, 0.0, 1.0]) } else { ([x, 3.0, y], [0.0, -1.0, 0.0]) };
+            SurfacePoint { position, triangle: 0, normal, sequence: t as u32 }
+        };
+        let texels = 2 * SIDE * SIDE;
+        let beside = |t: usize| {
+            let (x, y) = (t % SIDE, t / SIDE);
+            let to = |there: bool, n: usize| if there { n as u32 } else { crate::fit::adjacency::NONE };
+            // The wall is above the floor in the atlas: their creased edges are neighbours.
+            [
+                to(x > 0, t.wrapping_sub(1)),
+                to(x + 1 < SIDE, t + 1),
+                to(y > 0, t.wrapping_sub(SIDE)),
+                to(y + 1 < 2 * SIDE, t + SIDE),
+            ]
+        };
+        let atlas = Atlas {
+            width: SIDE,
+            height: 2 * SIDE,
+            texels: (0..texels as u32).collect(),
+            points: (0..texels).map(point).collect(),
+            inside: vec![true; texels],
+        };
+        (atlas, Adjacency { beside: (0..texels).map(beside).collect(), seams: vec![] })
+    }
+
+    #[test]
+    fn a_rug_is_another_class_and_a_spot_is_not() {
+        let (atlas, adjacency) = floor_and_wall();
+        let place = |t: usize| (t % SIDE, t / SIDE);
+        let is_rug = |t: usize| matches!(place(t), (10..40, 10..30));
+        let is_spot = |t: usize| matches!(place(t), (50..54, 50..54));
+        let hidden = |t: usize| matches!(place(t), (0..5, 0..5));
+        let paint = |t: usize| {
+            // A shade of 10 %, in no order.
+            let shade = 0.95 + 0.1 * ((t * 7919) % 101) as f32 / 101.0;
+            let colour = match t {
+                t if is_rug(t) => Vec3A::new(0.5, 0.1, 0.1),
+                t if is_spot(t) => Vec3A::new(0.1, 0.1, 0.5),
+                _ => Vec3A::new(0.6, 0.55, 0.5),
+            };
+            colour * shade
+        };
+        let albedo: Vec<Vec3A> = (0..atlas.points.len()).map(paint).collect();
+        let surface = flat_surfaces(&atlas, &adjacency);
+        let found = classes((&atlas, TEXEL), &adjacency, &surface, &albedo, |t| !hidden(t));
+        let (floor, rug, wall) = (found[45 * SIDE + 5], found[20 * SIDE + 20], found[90 * SIDE + 30]);
+        assert!(floor.is_some() && rug.is_some() && wall.is_some());
+        assert!(floor != rug && floor != wall && rug != wall, "{floor:?} {rug:?} {wall:?}");
+        let expected = |t: usize| match t {
+            t if t >= SIDE * SIDE => wall,
+            t if is_rug(t) => rug,
+            _ => floor,
+        };
+        let all = 0..found.len();
+        let wrong = all.clone().filter(|&t| found[t].is_some() && found[t] != expected(t)).count();
+        assert!(wrong < 150, "{wrong} texels, more than the blurred edges of the rug");
+        assert!(all.clone().filter(|&t| hidden(t)).all(|t| found[t].is_none()), "what is not seen has no class");
+        let spot = found[52 * SIDE + 52];
+        assert!(spot.is_none() || spot == floor, "the spot is too small for a class: {spot:?}");
+    }
+}
