@@ -4,12 +4,14 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use exr::meta::BlockDescription;
+use exr::meta::header::Header;
 use exr::prelude::{
     Encoding, FlatImage, FlatSamples, Image, Layer, LayerAttributes, MetaData, ReadChannels, ReadLayers,
     SpecificChannels, Vec2, WritableImage, read,
 };
 
-use super::{cannot_read, check_size};
+use super::{bytes_of, cannot_read, check_size, most_memory};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
@@ -19,6 +21,7 @@ pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
     let meta = MetaData::read_from_file(path, false).map_err(|e| cannot_read(path, e))?;
     for header in &meta.headers {
         check_size(path, header.layer_size.width(), header.layer_size.height())?;
+        check_block(path, header)?;
     }
     match meta.headers.first() {
         Some(header) => {
@@ -28,6 +31,25 @@ pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
         }
         None => Err(Error::file(path, "has no layer; expected an image")),
     }
+}
+
+/// Blocks are read whole, and may be higher than the image.
+fn check_block(path: &Path, header: &Header) -> Result<()> {
+    let (width, height) = match header.blocks {
+        BlockDescription::Tiles(tiles) => tiles.tile_size.into(),
+        BlockDescription::ScanLines => (header.layer_size.width(), header.compression.scan_lines_per_block()),
+    };
+    let bytes = width.saturating_mul(height).saturating_mul(header.channels.bytes_per_pixel);
+    let limit = most_memory(bytes_of(path)?);
+    if bytes as u64 <= limit {
+        return Ok(());
+    }
+    Err(Error::file(
+        path,
+        format!(
+            "has blocks of {width}×{height} pixels, {bytes} bytes each; expected at most {limit}: is the file damaged?"
+        ),
+    ))
 }
 
 /// Walks all blocks of compressed pixels; says what is wrong with the first that is not there.

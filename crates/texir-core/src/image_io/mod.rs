@@ -67,9 +67,13 @@ fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
     Error::file(path, format!("cannot be read: {e}"))
 }
 
+fn bytes_of(path: &Path) -> Result<u64> {
+    Ok(std::fs::metadata(path).map_err(|e| cannot_read(path, e))?.len())
+}
+
 /// An image of this size, read from `path`, fits the limits.
 fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
-    let bytes = std::fs::metadata(path).map_err(|e| cannot_read(path, e))?.len();
+    let bytes = bytes_of(path)?;
     let limit = usize::try_from(bytes).unwrap_or(usize::MAX).saturating_mul(MAX_PIXELS_PER_BYTE).min(MAX_PIXELS);
     match width.checked_mul(height) {
         Some(pixels) if (1..=limit).contains(&pixels) => Ok(()),
@@ -80,11 +84,16 @@ fn check_size(path: &Path, width: usize, height: usize) -> Result<()> {
     }
 }
 
-/// What decoding an image of so many bytes may allocate at once.
-pub(crate) fn limits(bytes: u64) -> Limits {
+/// What decoding an image of so many bytes may allocate at once, bytes.
+fn most_memory(bytes: u64) -> u64 {
     let most = |pixels: usize| (pixels * MAX_BYTES_PER_PIXEL) as u64;
+    bytes.saturating_mul(most(MAX_PIXELS_PER_BYTE)).min(most(MAX_PIXELS))
+}
+
+/// The same for decoders that take limits.
+pub(crate) fn limits(bytes: u64) -> Limits {
     let mut limits = Limits::no_limits();
-    limits.max_alloc = Some(bytes.saturating_mul(most(MAX_PIXELS_PER_BYTE)).min(most(MAX_PIXELS)));
+    limits.max_alloc = Some(most_memory(bytes));
     limits
 }
 

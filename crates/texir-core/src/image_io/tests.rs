@@ -223,3 +223,18 @@ fn srgb_encoding_meets_its_published_points() {
     }
     assert_eq!(encode_srgb(&Rgb::filled(1, 1, [f32::NAN, -1.0, 1.0])).data, [[0, 0, 255]]);
 }
+
+/// 3 million pixels in one row are no more than a file may have for its size, but compressed in blocks of 16 rows.
+#[test]
+fn blocks_that_are_larger_than_the_image_are_refused() {
+    let folder = folder();
+    let path = folder.path().join("wide.exr");
+    write_rgb(&path, &gradient(4, 1)).unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let attribute = b"dataWindow\0box2i\0\x10\0\0\0";
+    let start = bytes.windows(attribute.len()).position(|w| w == attribute).unwrap() + attribute.len();
+    bytes[start + 8..start + 12].copy_from_slice(&2_999_999_i32.to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    let message = message(read_rgb(&path));
+    assert!(message.contains("wide.exr") && message.contains("blocks of 3000000×16 pixels"), "{message}");
+}
