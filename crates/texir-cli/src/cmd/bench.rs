@@ -33,13 +33,15 @@ const MOST_POINTS: usize = 1 << 22;
 const LONG_ENOUGH: f64 = 1.0;
 /// Sides of the atlases.
 const ATLASES: [usize; 4] = [256, 512, 1024, 2048];
+/// Side of the atlas that `--large` adds.
+const LARGE_ATLAS: usize = 4096;
 /// Rays per texel of the atlases.
 const ATLAS_RAYS: u32 = 4;
 
 /// Arguments of `texir bench`.
 #[derive(Debug, Args)]
 pub struct Bench {
-    /// Measure with 10 million triangles as well: some minutes and some GB more
+    /// Measure with 10 million triangles and an atlas of 4096² as well: some minutes and some GB more
     #[arg(long)]
     large: bool,
 }
@@ -102,7 +104,8 @@ impl Bench {
                 backend.set_tbl(&flat.albedo, &Lights::none(&scene.mesh))?;
             }
             if let (true, Some(first)) = (meshes.is_empty(), backends.first_mut()) {
-                let rows = ATLASES.iter().map(|&side| bake(first.as_mut(), &scene, side, session));
+                let sides = ATLASES.into_iter().chain(self.large.then_some(LARGE_ATLAS));
+                let rows = sides.map(|side| bake(first.as_mut(), &scene, side, session));
                 atlases = rows.collect::<Result<_, _>>()?;
             }
             let rows = backends.iter_mut().map(|backend| {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use tempfile::TempDir;
 use texir_core::capture::{self, LoadOptions};
-use texir_core::demo::{self, Flat, FlatOptions, RenderOptions, ShotOptions};
+use texir_core::demo::{self, Flat, FlatOptions, PaintStyle, RenderOptions, ShotOptions};
 use texir_core::outputs::{REPORT, SCENE, Staging};
 
 use super::{Session, fit, report};
@@ -24,8 +24,8 @@ const ATLAS: usize = 512;
 /// Panoramas the fit sees: with these the whole demo takes a few minutes on two cores.
 const TRAIN: usize = 9;
 
-/// Panoramas held out.
-const NOVEL: usize = 3;
+/// Panoramas the fit sees, for each that is held out.
+const TRAIN_PER_NOVEL: usize = 3;
 
 /// Rays per pixel of the evaluation: half the protocol's, which is enough to look at.
 const RAYS: u32 = 128;
@@ -39,6 +39,15 @@ pub struct Demo {
     /// Rooms of the flat, 3 to 5
     #[arg(long, value_name = "N", default_value_t = FlatOptions::default().rooms)]
     rooms: usize,
+    /// Panoramas that the fit sees; a third as many more are held out
+    #[arg(long, value_name = "N", default_value_t = TRAIN)]
+    views: usize,
+    /// One colour per surface, no patterns
+    #[arg(long)]
+    plain: bool,
+    /// How much roughness varies within surfaces: 0 not at all, 1 moderately
+    #[arg(long, value_name = "AMOUNT", default_value_t = FlatOptions::default().roughness_variation)]
+    roughness_variation: f32,
 }
 
 impl Demo {
@@ -72,8 +81,11 @@ impl Demo {
     /// Generates and renders the flat, and puts the capture in place of an earlier one once it is whole.
     fn make(&self, folder: &Path, session: &Session<'_>) -> Result<(), Failure> {
         let seed = u64::from(session.config.fit.seed) + 1;
-        let flat = Flat::generate(&FlatOptions { seed, rooms: self.rooms, atlas: ATLAS, ..FlatOptions::default() })?;
-        let shots = demo::shots(&flat, &ShotOptions { seed, train: TRAIN, novel: NOVEL, ..ShotOptions::default() })?;
+        let paint = if self.plain { PaintStyle::Plain } else { PaintStyle::Patterned };
+        let Self { rooms, roughness_variation, .. } = *self;
+        let flat = Flat::generate(&FlatOptions { seed, rooms, paint, roughness_variation, atlas: ATLAS })?;
+        let (train, novel) = (self.views, self.views.div_ceil(TRAIN_PER_NOVEL));
+        let shots = demo::shots(&flat, &ShotOptions { seed, train, novel, ..ShotOptions::default() })?;
         let options = RenderOptions { seed, ..RenderOptions::default() };
         let rendered = demo::render(&flat, &shots, &options, session.console)?;
         let failed = |e: std::io::Error| Failure::new(format!("{}: cannot be written: {e}", folder.display()));
