@@ -21,6 +21,9 @@ const TARGET: Duration = Duration::from_millis(100);
 /// Rays of the first dispatch, before anything was measured: well below a second on a slow processor.
 const FIRST_RAYS: f64 = 262_144.0;
 
+/// Rays that any dispatch may hold, however slow the last one was.
+const FEWEST_RAYS: f64 = 1024.0;
+
 /// How much more than the last dispatch one may hold: an estimate from a tiny one is a guess.
 const GROWTH: f64 = 8.0;
 
@@ -63,19 +66,36 @@ impl GatherShape {
     }
 }
 
+/// How many rays the next dispatch may hold.
+struct Pace(f64);
+
+impl Pace {
+    /// Learns from a dispatch of so many rays that took so long.
+    fn learn(&mut self, rays: u64, seconds: f64) {
+        let rays = rays.max(1) as f64;
+        let on_target = rays * TARGET.as_secs_f64() / seconds.max(1e-6);
+        self.0 = on_target.min(self.0.max(rays) * GROWTH).max(FEWEST_RAYS);
+    }
+
+    /// How many items of `cost` rays and `bytes` each that is.
+    fn items(&self, cost: u32, bytes: usize) -> usize {
+        let items = (self.0 / f64::from(cost.max(1))) as usize;
+        items.clamp(1, BATCH_BYTES / bytes)
+    }
+}
+
 /// What every pass works with.
 pub(crate) struct Context {
     pub gpu: Gpu,
     pub pool: Pool,
     pub kernels: Kernels,
     hierarchy: Hierarchy,
-    /// Rays of the next dispatch.
-    rays: f64,
+    pace: Pace,
 }
 
 impl Context {
     pub fn new(gpu: Gpu, hierarchy: Hierarchy) -> Self {
-        Self { gpu, hierarchy, pool: Pool::default(), kernels: Kernels::default(), rays: FIRST_RAYS }
+        Self { gpu, hierarchy, pool: Pool::default(), kernels: Kernels::default(), pace: Pace(FIRST_RAYS) }
     }
 
     /// The kernel `shader`/`entry`, with the modules that suit the adapter.
@@ -112,16 +132,13 @@ impl Context {
     pub fn submit_rays(&mut self, rays: u64, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         let start = Instant::now();
         self.submit(record)?;
-        let seconds = start.elapsed().as_secs_f64().max(1e-6);
-        let rays = rays.max(1) as f64;
-        self.rays = (rays * TARGET.as_secs_f64() / seconds).min(self.rays.max(rays) * GROWTH).max(1024.0);
+        self.pace.learn(rays, start.elapsed().as_secs_f64());
         Ok(())
     }
 
     /// How many items of `cost` rays and `bytes` each go into the next dispatch.
     pub fn batch(&self, cost: u32, bytes: usize) -> usize {
-        let items = (self.rays / f64::from(cost.max(1))) as usize;
-        items.clamp(1, BATCH_BYTES / bytes)
+        self.pace.items(cost, bytes)
     }
 
     /// Runs a pass with one ray per item over `items` items: `dispatch` handles one range of them.
@@ -194,4 +211,41 @@ pub(crate) trait Gathering {
     ) -> Result<()>;
     /// Fetches the results of a batch of `count` items.
     fn collect(&mut self, ctx: &mut Context, batch: Self::Batch, count: usize) -> Result<()>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Seconds that dispatches of 32-ray items take on a device of so many rays per second, which `speed` gives by dispatch.
+    fn durations(dispatches: usize, speed: impl Fn(usize) -> f64) -> Vec<f64> {
+        let mut pace = Pace(FIRST_RAYS);
+        let take = |number| {
+            let rays = 32 * pace.items(32, ITEM_BYTES) as u64;
+            let seconds = rays as f64 / speed(number);
+            pace.learn(rays, seconds);
+            seconds
+        };
+        (0..dispatches).map(take).collect()
+    }
+
+    #[test]
+    fn dispatches_take_a_tenth_of_a_second_on_any_device() {
+        for speed in [1e5, 1e6, 1e7, 1e8] {
+            let durations = durations(12, |_| speed);
+            // The first is a guess that even a tenth of two processor cores' speed keeps within seconds.
+            assert!(durations[0] < 2.7, "{speed} rays/s: {durations:?}");
+            assert!(durations[1..].iter().all(|s| *s <= 0.1001), "{speed} rays/s: {durations:?}");
+            assert!(durations[11] > 0.09, "{speed} rays/s: {durations:?}");
+        }
+        // What memory bounds stays below.
+        assert!(durations(12, |_| 1e10)[1..].iter().all(|s| *s <= 0.1001));
+    }
+
+    #[test]
+    fn a_device_that_becomes_slow_exceeds_its_time_once() {
+        let durations = durations(12, |number| if number < 6 { 1e7 } else { 1e6 });
+        assert!((durations[6] - 1.0).abs() < 0.05, "{durations:?}");
+        assert!(durations[7..].iter().all(|s| *s <= 0.1001), "{durations:?}");
+    }
 }
