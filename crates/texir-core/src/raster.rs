@@ -1,6 +1,6 @@
 //! Two-dimensional arrays: images, atlases, masks and label maps.
 
-use glam::Vec2;
+use glam::{DVec2, Vec2};
 
 use crate::error::{Error, Result};
 
@@ -56,6 +56,21 @@ impl<T> Raster<T> {
         place(uv.y, self.height) * self.width + place(uv.x, self.width)
     }
 
+    /// Indices of the four values around a place in pixels, centres at halves, with the weights of a bilinear look-up, which
+    /// sum to 1. Left and right meet where the image `wraps`; other borders are repeated.
+    pub fn around(&self, place: DVec2, wraps: bool) -> [(usize, f32); 4] {
+        let corner = (place - 0.5).floor();
+        let t = (place - 0.5 - corner).as_vec2();
+        let within = |at: f64, size: usize| at.clamp(0.0, (size - 1) as f64) as usize;
+        let share = |far: bool, t: f32| if far { t } else { 1.0 - t };
+        [(false, false), (true, false), (false, true), (true, true)].map(|(right, lower)| {
+            let x = corner.x + f64::from(u8::from(right));
+            let x = within(if wraps { x.rem_euclid(self.width as f64) } else { x }, self.width);
+            let y = within(corner.y + f64::from(u8::from(lower)), self.height);
+            (y * self.width + x, share(right, t.x) * share(lower, t.y))
+        })
+    }
+
     /// `(width, height)`.
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
@@ -85,4 +100,23 @@ impl<T: Copy> Raster<T> {
 /// Luminance of linear RGB (Rec. 709 primaries).
 pub fn luminance(rgb: &[f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_look_up_is_exact_at_centres_and_wraps_or_repeats_borders() {
+        let image = Gray { width: 4, height: 2, data: vec![1.0, 2.0, 4.0, 8.0, 10.0, 20.0, 40.0, 80.0] };
+        let value = |x: f64, y: f64, wraps: bool| -> f32 {
+            image.around(DVec2::new(x, y), wraps).iter().map(|&(at, weight)| weight * image.data[at]).sum()
+        };
+        assert_eq!(value(2.5, 1.5, false), 40.0);
+        assert_eq!(value(1.0, 1.0, false), (1.0 + 2.0 + 10.0 + 20.0) / 4.0);
+        assert_eq!(value(1.75, 0.5, false), 0.75 * 2.0 + 0.25 * 4.0);
+        // Borders: half a pixel outside of the first centre, and far outside.
+        assert_eq!([value(0.0, 0.5, false), value(-7.0, -7.0, false), value(9.0, 9.0, false)], [1.0, 1.0, 80.0]);
+        assert_eq!([value(0.0, 0.5, true), value(4.0, 0.5, true), value(4.5, 0.5, true)], [4.5, 4.5, 1.0]);
+    }
 }

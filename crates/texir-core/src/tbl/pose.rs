@@ -5,7 +5,7 @@
 //! so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view moves only where
 //! that lessens its difference; what views see differently for other reasons is weighed down (Cauchy weights).
 
-use glam::{Mat4, Quat, Vec3};
+use glam::{Mat4, Quat, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::photo;
@@ -67,7 +67,7 @@ pub(super) fn refine_photos(
             let image = luminance(&load(view)?);
             let projected = backend.project(&points, camera)?;
             let log = |at: &crate::backend::Projected| match at.distance > 0.0 && at.cosine >= MIN_COSINE {
-                true => bilinear(&image, camera, at.pixel),
+                true => bilinear(&image, camera, at.pixel.into()),
                 false => f32::NAN,
             };
             shown.push(projected.iter().map(log).collect());
@@ -97,19 +97,10 @@ fn luminance(photo: &Photo) -> Gray {
     photo.image.map(|radiance| (inpaint::mean(*radiance) + BLACK).ln())
 }
 
-/// The image between pixel centres; NaN outside.
-fn bilinear(image: &Gray, camera: &Camera, [x, y]: [f32; 2]) -> f32 {
-    let (width, height) = (image.width as i64, image.height as i64);
-    let wraps = camera.projection == Projection::Equirectangular;
-    let (x, y) = (x - 0.5, y - 0.5);
-    let (fx, fy) = (x - x.floor(), y - y.floor());
-    let at = |dx: i64, dy: i64| {
-        let (x, y) = (x.floor() as i64 + dx, y.floor() as i64 + dy);
-        let x = if wraps { x.rem_euclid(width) } else { x };
-        let inside = (0..width).contains(&x) && (0..height).contains(&y);
-        if inside { *image.at(x as usize, y as usize) } else { f32::NAN }
-    };
-    (at(0, 0) * (1.0 - fx) + at(1, 0) * fx) * (1.0 - fy) + (at(0, 1) * (1.0 - fx) + at(1, 1) * fx) * fy
+/// The image between pixel centres.
+fn bilinear(image: &Gray, camera: &Camera, place: Vec2) -> f32 {
+    let around = image.around(place.as_dvec2(), camera.projection == Projection::Equirectangular);
+    around.iter().map(|&(at, weight)| weight * image.data[at]).sum()
 }
 
 /// Moves a camera until it shows what is predicted, as well as a few steps allow.
@@ -136,7 +127,7 @@ fn moved(camera: &Camera, [x, y, z, a, b, c]: [f32; 6]) -> Camera {
 
 /// What the camera shows of a prediction, less the prediction, in ln L.
 fn residual(camera: &Camera, image: &Gray, &(position, log): &Prediction) -> Option<f32> {
-    let residual = bilinear(image, camera, camera.project(position)?.to_array()) - log;
+    let residual = bilinear(image, camera, camera.project(position)?) - log;
     residual.is_finite().then_some(residual)
 }
 

@@ -1,5 +1,7 @@
 //! Lens distortion: where a pinhole's pixel is found in the distorted photo, and the pinhole that a photo fills.
 
+use glam::DVec2;
+
 use crate::camera::{Camera, Projection};
 use crate::raster::Raster;
 
@@ -180,18 +182,8 @@ impl Undistortion {
     /// Values between the photo's pixels, bilinear: for colours.
     pub(super) fn smooth<const N: usize>(&self, photo: &Raster<[f32; N]>) -> Raster<[f32; N]> {
         self.resample(|x, y| {
-            let corner = |v: f64, size: usize| {
-                let v = (v - 0.5).clamp(0.0, (size - 1) as f64);
-                let low = (v.floor() as usize).min(size.saturating_sub(2));
-                (low, (low + 1).min(size - 1), (v - low as f64) as f32)
-            };
-            let (x0, x1, tx) = corner(x, photo.width);
-            let (y0, y1, ty) = corner(y, photo.height);
-            let [a, b, c, d] = [photo.at(x0, y0), photo.at(x1, y0), photo.at(x0, y1), photo.at(x1, y1)];
-            std::array::from_fn(|i| {
-                let (top, bottom) = (a[i] + tx * (b[i] - a[i]), c[i] + tx * (d[i] - c[i]));
-                top + ty * (bottom - top)
-            })
+            let around = photo.around(DVec2::new(x, y), false);
+            std::array::from_fn(|i| around.iter().map(|&(at, weight)| weight * photo.data[at][i]).sum())
         })
     }
 

@@ -91,26 +91,14 @@ pub(super) fn cut(image: &Rgb, view: &Camera, crop: &Camera) -> Rgb {
             let (dx, dy) = ((sample % samples) as f32 + 0.5, (sample / samples) as f32 + 0.5);
             // Rounding may put what is at a border outside.
             if let Some(place) = view.project(crop.direction(x + dx * share, y + dy * share)) {
-                sum += between(image, view.projection == Projection::Equirectangular, place);
+                let around = image.around(place.as_dvec2(), view.projection == Projection::Equirectangular);
+                sum += around.iter().map(|&(at, weight)| weight * Vec3::from(image.data[at])).sum::<Vec3>();
                 seen += 1.0;
             }
         }
         (sum / seen.max(1.0)).to_array()
     };
     Raster { width: crop.width, height: crop.height, data: (0..crop.pixels()).map(pixel).collect() }
-}
-
-/// The image between pixel centres. Left and right meet where it `wraps`; other borders are repeated.
-fn between(image: &Rgb, wraps: bool, place: Vec2) -> Vec3 {
-    let corner = (place - 0.5).floor();
-    let t = place - 0.5 - corner;
-    let at = |dx: i64, dy: i64| {
-        let clamp = |v: i64, size: usize| v.clamp(0, size as i64 - 1) as usize;
-        let x = corner.x as i64 + dx;
-        let x = if wraps { x.rem_euclid(image.width as i64) } else { x };
-        Vec3::from(*image.at(clamp(x, image.width), clamp(corner.y as i64 + dy, image.height)))
-    };
-    at(0, 0).lerp(at(1, 0), t.x).lerp(at(0, 1).lerp(at(1, 1), t.x), t.y)
 }
 
 /// Crops of one view as a photo of it would show them: exposed alike, so that its median luminance is a middle grey.
