@@ -66,8 +66,8 @@ pub fn recover(
     let of_texels = |map: &Rgb| -> Vec<Vec3A> { atlas.texels.iter().map(|&t| map.data[t as usize].into()).collect() };
     let irradiance = of_texels(ground.irradiance);
     let diffuse_albedo = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
-    let apparent: Vec<Vec3A> = of_texels(ground.radiance).into_iter().zip(&irradiance).map(diffuse_albedo).collect();
-    let segments = segments::segment((atlas, texel), adjacency, seen, &apparent, ground.plan);
+    let apparent = || of_texels(ground.radiance).into_iter().zip(&irradiance).map(diffuse_albedo).collect();
+    let segments = segments::segment((atlas, texel), adjacency, seen, apparent, ground.plan);
     if !seen.has_classes() {
         progress.warn(&format!(
             "no view has semantic classes: {} segments are made from geometry and colour alone, and surfaces that look alike \

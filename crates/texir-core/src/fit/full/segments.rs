@@ -31,7 +31,7 @@ pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
     seen: &Observations,
-    albedo: &[Vec3A],
+    albedo: impl FnOnce() -> Vec<Vec3A>,
     plan: &FloorPlan,
 ) -> Segments {
     let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
@@ -41,7 +41,7 @@ pub fn segment(
         everywhere(&seen.class, &|_| 0)
     } else {
         let is_seen = |t: usize| !seen.columns.row(t).is_empty();
-        everywhere(&automatic::classes((atlas, texel), adjacency, &seen.surface, albedo, is_seen), &|_| 0)
+        everywhere(&automatic::classes((atlas, texel), adjacency, &seen.surface, &albedo(), is_seen), &|_| 0)
     };
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
