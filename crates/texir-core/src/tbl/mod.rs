@@ -159,13 +159,14 @@ impl Fusion<'_> {
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
         let limit = self.separate_sources(backend, load, &mut radiance)?;
-        let coverage = radiance.iter().map(|r| r.map_or(Coverage::Inpainted, |_| Coverage::Seen)).collect::<Vec<_>>();
-        unseen::shine(&scene.mesh, atlas, limit, &mut radiance);
+        let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
             let filled = |tbl: &&Tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted;
             *radiance = given.filter(filled).map(|tbl| tbl.radiance.data[t as usize]);
         }
-        let radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
+        let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
+        unseen::shine(&scene.mesh, atlas, limit, &seen, &mut radiance);
+        let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
             radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
             coverage: atlas.scatter(&coverage, Coverage::Outside),
@@ -204,7 +205,8 @@ impl Fusion<'_> {
     }
 
     /// Light sources get the radiance that explains the pixels, and what is beside them is blended anew without the pixels
-    /// that mix the two; it counts as unseen where there are no others. Returns the mean over the channels above which a texel is a source.
+    /// that mix the two; it counts as unseen where there are no others. Returns the mean
+    /// over the channels above which a texel is a source.
     fn separate_sources(
         &self,
         backend: &mut dyn Backend,
