@@ -141,13 +141,15 @@ pub struct LocalSettings {
     /// By how much two finishes must explain a segment better than one, each block having the one that the blocks around it ask
     /// for: the fall of the logarithm of the segment's mean cost.
     pub gain: f32,
+    /// The same gain where each half of the views says which finish the blocks have that the other half judges by.
+    pub agreement: f32,
     /// Pixels that each finish must have.
     pub pixels: u32,
 }
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { block: 0.3, gain: 0.1, pixels: 200 }
+        Self { block: 0.3, gain: 0.1, agreement: 0.03, pixels: 200 }
     }
 }
 
@@ -187,8 +189,8 @@ pub struct AlbedoSettings {
     pub iterations: u32,
 }
 
-/// Roughness by a scan, and how groups follow their parents: pulls weigh (ln r − ln r_parent)² against the logarithm of
-/// the mean cost, so that 0.1 is what a tenth more of misfit is worth.
+/// Roughness by a scan, and how groups follow their parents: pulls weigh (2 (r − r_parent))² against the logarithm of the mean
+/// cost, so that a pull of 0.1 holds what is 0.5 away as a tenth more of misfit would.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RoughnessSettings {
@@ -411,7 +413,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 28] {
+    fn checks(&self) -> [Check; 29] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -441,6 +443,7 @@ impl FullSettings {
             not_negative("full.roughness.colour_pull", r.colour_pull),
             positive("full.roughness.local.block", r.local.block),
             positive("full.roughness.local.gain", r.local.gain),
+            positive("full.roughness.local.agreement", r.local.agreement),
             share("full.palette.strength", p.strength),
             positive("full.palette.bandwidth", p.bandwidth),
             positive("full.palette.reach", p.reach),

@@ -1,10 +1,11 @@
 //! From evidence per pixel to roughness per texel: shrinkage along a hierarchy of ever smaller groups.
 //!
 //! Each group takes the roughness that explains its pixels best, drawn to its parent's: the minimum over r of
-//! n/(n + n_half) · ln(mean cost(r)) + pull · (ln r − ln r_parent)². The logarithm makes it the likelihood of residuals
-//! whose size is not known beforehand: what is explained badly at any roughness says little about it. And it does not grow
-//! with the number of pixels n without bound: what goes wrong here (irradiance, the BRDF model) is systematic and does not
-//! average out.
+//! n/(n + n_half) · ln(mean cost(r)) + pull · (2 (r − r_parent))². The logarithm makes it the likelihood of residuals whose
+//! size is not known beforehand: what is explained badly at any roughness says little about it. And it does not grow with
+//! the number of pixels n without bound: what goes wrong here (irradiance, the BRDF model) is systematic and does not average
+//! out. Distances are those of r itself, in which steps look alike: by ln r, a mirror would be further from what lies between
+//! it and chalk than chalk is.
 
 use rayon::prelude::*;
 
@@ -38,7 +39,7 @@ pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
             }
             let misfit = tally.misfit();
             let believed = tally.pixels as f32 / (tally.pixels as f32 + level.half_believed);
-            let pull = |k: usize| level.pull * (node(k) / parent).ln().powi(2);
+            let pull = |k: usize| level.pull * (2.0 * (node(k) - parent)).powi(2);
             minimum(&std::array::from_fn(|k| believed * misfit[k] + pull(k)))
         })
         .collect()

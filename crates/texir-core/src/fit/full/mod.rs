@@ -16,6 +16,7 @@ pub mod scan;
 pub mod segments;
 
 use std::f32::consts::PI;
+use std::iter::repeat_n;
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -207,12 +208,14 @@ fn by_colour(
     let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
     let level = Level { group: &group, parent: &parent, pull: s.colour_pull, half_believed: s.colour_pixels };
     let settled = settle(evidence, &level);
+    let half: Vec<u8> = (0..).zip(&problem.seen.views).flat_map(|(view, n)| repeat_n(view % 2, *n)).collect();
     let surface = local::Surface {
         width: atlas.width,
         texels: &atlas.texels,
         segment: problem.segment.0,
         whole: by_segment,
         heaviest: &heaviest,
+        half: &half,
         texel_size,
     };
     let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();

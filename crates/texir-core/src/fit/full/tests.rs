@@ -301,12 +301,15 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
         slope: vec![],
     };
     let (segment, whole) = (vec![0; texels.len()], [0.2]);
+    // Views take turns, texel by texel.
+    let half: Vec<u8> = texels.iter().map(|t| ((t % width + t / width) % 2) as u8).collect();
     let surface = Surface {
         width: width as usize,
         texels: &texels,
         segment: &segment,
         whole: &whole,
         heaviest: &texels,
+        half: &half,
         texel_size: 0.05,
     };
     let refined = |is_smooth: &dyn Fn(u32) -> bool, depth, rough| {
@@ -319,6 +322,11 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
     let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6).is_multiple_of(2);
     assert_eq!(refined(&scattered, 1.0, 0.4), [0.2; 1024]);
+    // Views that contradict each other, and one that nobody can.
+    let odd = |t: u32| (t % width + t / width).is_multiple_of(2);
+    assert_eq!(refined(&|t| halves(t) == odd(t), 1.0, 0.4), [0.2; 1024]);
+    let alone = Surface { half: &[0; 1024], ..surface };
+    assert_eq!(refine(&alone, &evidence(&halves, 1.0, 0.4), &[0.2; 1024], &LocalSettings::default()), [0.2; 1024]);
 }
 
 #[test]
