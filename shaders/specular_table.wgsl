@@ -26,6 +26,9 @@ const FROM_LOBES: u32 = 0u;
 const FROM_COSINE: u32 = 1u;
 const FROM_LIGHTS: u32 = 2u;
 
+// Values of `masking`: texir-core's brdf::Masking.
+const SMITH: u32 = 1u;
+
 struct SpecularTableParams {
     // Pixels of this dispatch.
     count: u32,
@@ -39,6 +42,8 @@ struct SpecularTableParams {
     seed: u32,
     // Reflectance at normal incidence.
     f0: f32,
+    // How microfacets hide each other: SMITH, or else the authors' way.
+    masking: u32,
     // Roughnesses of the LOBES, then unused.
     lobes: array<vec4f, 2>,
     // Roughnesses of the NODES.
@@ -89,6 +94,14 @@ fn stratum_of(s: u32) -> u32 {
 
 fn lobe_roughness(lobe: u32) -> f32 {
     return params.lobes[lobe / 4u][lobe % 4u];
+}
+
+// g of the shadowing–masking term.
+fn hiding(c: f32, r: f32) -> f32 {
+    if params.masking == SMITH {
+        return smith(c, r);
+    }
+    return masking(c, r);
 }
 
 fn node_roughness(node: u32) -> f32 {
@@ -155,7 +168,7 @@ fn specular_table(
                 let drawn = samples[thread - lane + i];
                 // f_s / F = D g(nl) g(nv) / 4.
                 sums[k] += drawn.light
-                    * (0.25 * distribution_at(drawn.sin2, r) * masking(drawn.nl, r) * masking(drawn.nv, r));
+                    * (0.25 * distribution_at(drawn.sin2, r) * hiding(drawn.nl, r) * hiding(drawn.nv, r));
             }
         }
         workgroupBarrier();

@@ -22,7 +22,13 @@ fn distribution_at(sin2: f32, r: f32) -> f32 {
     return a2 / (PI * d * d);
 }
 
-// g(c) = 1/(c(1−k)+k), k = (r+1)²/8. The shadowing–masking term is G = g(nl)·g(nv)·nl·nv.
+// g(c) = 2/(c + √(α² + (1−α²)c²)): Smith's masking of GGX, as in glTF 2.0.
+fn smith(c: f32, r: f32) -> f32 {
+    let a2 = r * r * r * r;
+    return 2.0 / (c + sqrt(a2 + (1.0 - a2) * c * c));
+}
+
+// g(c) = 1/(c(1−k)+k), k = (r+1)²/8: the authors'. The shadowing–masking term is G = g(nl)·g(nv)·nl·nv.
 fn masking(c: f32, r: f32) -> f32 {
     let k = (r + 1.0) * (r + 1.0) * 0.125;
     return 1.0 / (c * (1.0 - k) + k);

@@ -5,6 +5,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::Vec3;
 use texir_core::backend::{Backend, RoughnessGradient, Sampling, ShadePoint};
+use texir_core::brdf::Masking;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::shade::{MaterialIn, shade};
 use texir_core::cpu::specular_table::specular_table;
@@ -69,11 +70,16 @@ fn from_above(nv: f32) -> Vec3 {
 
 /// ∫ f_s nl dω at normal-incidence reflectance `f0` by the midpoint rule around the mirrored view, whose polar angle is πs⁴: rings crowd where
 /// the lobe is sharp. Written out from the BRDF's definition, apart from the library.
-fn albedo(nv: f64, r: f64, f0: f64) -> f64 {
+fn albedo(masking: Masking, nv: f64, r: f64, f0: f64) -> f64 {
     const RINGS: usize = 1500;
     const SECTORS: usize = 256;
     let sv = (1.0 - nv * nv).sqrt();
     let (a2, k) = (r.powi(4), (r + 1.0).powi(2) / 8.0);
+    let g1 = |c: f64| match masking {
+        Masking::Schlick => c / (c * (1.0 - k) + k),
+        // 2 / (1 + √(1 + α² tan²θ)).
+        Masking::Smith => 2.0 / (1.0 + (1.0 + a2 * (1.0 - c * c) / (c * c)).sqrt()),
+    };
     let mut sum = 0.0;
     for ring in 0..RINGS {
         let s = (ring as f64 + 0.5) / RINGS as f64;
@@ -92,9 +98,8 @@ fn albedo(nv: f64, r: f64, f0: f64) -> f64 {
             let vh = (h[2] * nv - h[0] * sv) / length;
             let sin2 = (h[0] * h[0] + h[1] * h[1]) / (length * length);
             let d = a2 / (PI * (a2 + sin2 * (1.0 - a2)).powi(2));
-            let g = l[2] / (l[2] * (1.0 - k) + k) * nv / (nv * (1.0 - k) + k);
             let f = f0 + (1.0 - f0) * 2f64.powf((-5.55472 * vh - 6.98316) * vh);
-            sum += cell * d * f * g / (4.0 * nv);
+            sum += cell * d * f * g1(l[2]) * g1(nv) / (4.0 * nv);
         }
     }
     sum
@@ -112,11 +117,15 @@ fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
     let noise = Tolerance { absolute: 0.0, relative: 0.01 };
     for nv in [0.3, 0.5, 0.8, 1.0] {
         let pixel = floor_pixel(from_above(nv), 5);
-        let dim = (DIELECTRIC, 256, 0, Lights::none(&mesh));
-        for (f0, cosine, light, lights) in [dim, (DIELECTRIC, 64, 64, lamp(&mesh)), (WHITE, 64, 64, lamp(&mesh))] {
-            let of_node = |k| albedo(f64::from(nv), f64::from(node(k)), f64::from(f0));
+        for (masking, f0, cosine, light, lights) in [
+            (Masking::Schlick, DIELECTRIC, 256, 0, Lights::none(&mesh)),
+            (Masking::Schlick, DIELECTRIC, 64, 64, lamp(&mesh)),
+            (Masking::Smith, DIELECTRIC, 64, 64, lamp(&mesh)),
+            (Masking::Smith, WHITE, 64, 64, lamp(&mesh)),
+        ] {
+            let of_node = |k| albedo(masking, f64::from(nv), f64::from(node(k)), f64::from(f0));
             let expected: Vec<f64> = (0..NODES).map(of_node).collect();
-            let sampling = TableSampling { lobe: 256, cosine, light, seed: 1 };
+            let sampling = TableSampling { lobe: 256, cosine, light, masking, seed: 1 };
             let got = red(specular_table(&lighting, &lights, &pixel, f0, sampling));
             noise.check(&format!("albedo at nv {nv}"), &got, &expected);
             // Negative control: the lobe of a node further on is another one.
@@ -145,7 +154,7 @@ fn a_small_lamp_shines_as_in_shading_at_every_node() {
         .collect();
     let noise = Tolerance { absolute: 0.0, relative: 0.03 };
     let table = |lights: &Lights, light| {
-        let sampling = TableSampling { lobe: 8192, cosine: 8192, light, seed: 1 };
+        let sampling = TableSampling { lobe: 8192, cosine: 8192, light, masking: Masking::Schlick, seed: 1 };
         let all = red(specular_table(&lighting, lights, &pixel, DIELECTRIC, sampling));
         ks.map(|k| all[k])
     };
@@ -197,10 +206,13 @@ fn wgsl_and_twin_agree() {
     let lighting = Lighting { tracer: &exact, radiance: &radiance, environment: None };
     for lights in [lights, Lights::none(&scene.mesh)] {
         backend.set_tbl(&radiance, &lights).unwrap();
-        for (f0, lobe, cosine, light) in
-            [(DIELECTRIC, 2, 2, 6), (WHITE, 1, 0, 3), (DIELECTRIC, 0, 3, 0), (WHITE, 3, 5, 7)]
-        {
-            let sampling = TableSampling { lobe, cosine, light, seed: 11 };
+        for (masking, f0, lobe, cosine, light) in [
+            (Masking::Smith, DIELECTRIC, 2, 2, 6),
+            (Masking::Schlick, WHITE, 1, 0, 3),
+            (Masking::Schlick, DIELECTRIC, 0, 3, 0),
+            (Masking::Smith, WHITE, 3, 5, 7),
+        ] {
+            let sampling = TableSampling { lobe, cosine, light, masking, seed: 11 };
             let got = flat(&backend.specular_tables(&pixels, f0, sampling, &Silent).unwrap());
             let twin = |p| specular_table::<f64, _>(&lighting, &lights, p, f0, sampling);
             let expected: Vec<f64> = pixels.iter().flat_map(twin).flat_map(|n| n.0).collect();
@@ -209,7 +221,7 @@ fn wgsl_and_twin_agree() {
             let other = backend.specular_tables(&pixels, f0, TableSampling { seed: 12, ..sampling }, &Silent).unwrap();
             assert!(HALF.failures(&flat(&other), &expected).len() > pixels.len());
         }
-        let none = TableSampling { lobe: 0, cosine: 0, light: 0, seed: 11 };
+        let none = TableSampling { lobe: 0, cosine: 0, light: 0, masking: Masking::Smith, seed: 11 };
         assert!(flat(&backend.specular_tables(&pixels, DIELECTRIC, none, &Silent).unwrap()).iter().all(|&c| c == 0.0));
     }
 }
@@ -222,12 +234,12 @@ fn how_work_is_cut_changes_nothing() {
     let lights = scenes::lights(&mut backend, &scene, &radiance);
     backend.set_tbl(&radiance, &lights).unwrap();
     let pixels = pixels(&scene, &mut backend, 7);
-    let sampling = TableSampling { lobe: 2, cosine: 2, light: 6, seed: 3 };
+    let sampling = TableSampling { lobe: 2, cosine: 2, light: 6, masking: Masking::Smith, seed: 3 };
     let whole = backend.specular_tables(&pixels, DIELECTRIC, sampling, &Silent).unwrap();
     let pieces = pixels.chunks(53).flat_map(|p| backend.specular_tables(p, DIELECTRIC, sampling, &Silent).unwrap());
     assert!(whole == pieces.collect::<Vec<_>>());
     // More samples than one dispatch takes: all of them count.
-    let sampling = TableSampling { lobe: 50, cosine: 130, light: 75, seed: 3 };
+    let sampling = TableSampling { lobe: 50, cosine: 130, light: 75, masking: Masking::Smith, seed: 3 };
     let mut cpu = CpuBackend::new(&scene);
     cpu.set_tbl(&radiance, &lights).unwrap();
     let expected = flat(&cpu.specular_tables(&pixels[..40], DIELECTRIC, sampling, &Silent).unwrap());

@@ -4,6 +4,8 @@
 //! Directions are unit and point away from the surface; `n·l` and so on are clamped to [0, 1] by the caller. r is the
 //! perceptual roughness, α = r². No function here includes the cosine n·l unless it says so.
 
+use serde::{Deserialize, Serialize};
+
 use crate::real::{Real, V3};
 
 /// Normal-incidence reflectance of dielectrics.
@@ -35,7 +37,34 @@ pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
     a2 / (R::of(std::f64::consts::PI) * d * d)
 }
 
-/// g(c) = 1/(c(1−k)+k), k = (r+1)²/8. The shadowing–masking term is G = g(nl)·g(nv)·nl·nv.
+/// How microfacets hide each other: the g of the shadowing–masking term G = g(nl)·g(nv)·nl·nv.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Masking {
+    /// [`masking`]: Schlick's approximation as TexIR has it, with the k that Karis gives for point lights.
+    #[default]
+    Schlick,
+    /// [`smith`]: Smith's term of GGX, as glTF 2.0 (appendix B.3.2) and engines have it.
+    Smith,
+}
+
+impl Masking {
+    /// g(c) at perceptual roughness r.
+    pub fn at<R: Real>(self, c: R, r: R) -> R {
+        match self {
+            Self::Schlick => masking(c, r),
+            Self::Smith => smith(c, r),
+        }
+    }
+}
+
+/// g(c) = 2/(c + √(α² + (1−α²)c²)) (Walter et al., "Microfacet Models for Refraction through Rough Surfaces", 2007, eq. 34).
+pub fn smith<R: Real>(c: R, r: R) -> R {
+    let a2 = r * r * r * r;
+    R::of(2.0) / (c + (a2 + (R::of(1.0) - a2) * c * c).sqrt())
+}
+
+/// g(c) = 1/(c(1−k)+k), k = (r+1)²/8.
 pub fn masking<R: Real>(c: R, r: R) -> R {
     let k = (r + R::of(1.0)) * (r + R::of(1.0)) * R::of(0.125);
     R::of(1.0) / (c * (R::of(1.0) - k) + k)
@@ -52,8 +81,8 @@ pub fn f0<R: Real>(albedo: V3<R>, metallic: R) -> V3<R> {
 }
 
 /// f_s / F = D G / (4 nl nv) = D g(nl) g(nv) / 4. No cosine.
-pub fn specular_over_fresnel<R: Real>(c: &Cosines<R>, r: R) -> R {
-    distribution(c.nh, r) * masking(c.nl, r) * masking(c.nv, r) * R::of(0.25)
+pub fn specular_over_fresnel<R: Real>(masking: Masking, c: &Cosines<R>, r: R) -> R {
+    distribution(c.nh, r) * masking.at(c.nl, r) * masking.at(c.nv, r) * R::of(0.25)
 }
 
 /// Density of the light direction under half-vector sampling, per solid angle: D nh / (4 vh).
@@ -69,8 +98,8 @@ pub fn sample_cos2<R: Real>(u: R, r: R) -> R {
 
 /// w = f_s nl / (p F) of half-vector sampling: g(nl) g(nv) nl vh / nh. The cosine n·l is included; times F it is the
 /// estimator's weight.
-pub fn sample_weight<R: Real>(c: &Cosines<R>, r: R) -> R {
-    masking(c.nl, r) * masking(c.nv, r) * c.nl * c.vh / c.nh
+pub fn sample_weight<R: Real>(masking: Masking, c: &Cosines<R>, r: R) -> R {
+    masking.at(c.nl, r) * masking.at(c.nv, r) * c.nl * c.vh / c.nh
 }
 
 /// ψ_D = ∂ln D/∂r = 4/r − 8r³q/(q(r⁴−1)+1), q = nh².
@@ -129,7 +158,7 @@ mod tests {
             for r in [0.05, 0.2, 0.5, 0.8, 1.0] {
                 let c = cosines(v, l);
                 let wide = Cosines { nl: Dual::of(c.nl), nv: Dual::of(c.nv), nh: Dual::of(c.nh), vh: Dual::of(c.vh) };
-                let f = specular_over_fresnel(&wide, Dual::variable(r));
+                let f = specular_over_fresnel(Masking::Schlick, &wide, Dual::variable(r));
                 let psi = d_ln_distribution(c.nh, r) + d_ln_masking(c.nl, c.nv, r);
                 assert!((psi - f.du / f.re).abs() < 1e-9 * (1.0 + psi.abs()), "r {r}: {psi} against {}", f.du / f.re);
                 // Negative control: without the masking term the derivative is wrong.
@@ -151,10 +180,10 @@ mod tests {
     #[test]
     fn weight_is_value_over_density() {
         for (v, l) in directions() {
-            for r in [0.1, 0.5, 0.9] {
+            for (masking, r) in [(Masking::Schlick, 0.1), (Masking::Smith, 0.5), (Masking::Schlick, 0.9)] {
                 let c = cosines(v, l);
-                let direct = specular_over_fresnel(&c, r) * c.nl / pdf(&c, r);
-                assert!((sample_weight(&c, r) - direct).abs() < 1e-9 * direct);
+                let direct = specular_over_fresnel(masking, &c, r) * c.nl / pdf(&c, r);
+                assert!((sample_weight(masking, &c, r) - direct).abs() < 1e-9 * direct);
             }
         }
     }

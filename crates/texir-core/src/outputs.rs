@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
 use crate::atomic_file::write_atomic;
+use crate::brdf::Masking;
 use crate::capture::Tbl;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
@@ -95,6 +96,8 @@ pub struct Run {
 pub struct Scattering {
     /// The diffuse model.
     pub diffuse: DiffuseModel,
+    /// The shadowing–masking term.
+    pub masking: Masking,
 }
 
 impl Scattering {
@@ -121,7 +124,7 @@ pub struct FitOutput {
 impl FitOutput {
     /// Writes mesh and textures.
     pub fn save(&self, folder: &Path) -> Result<()> {
-        let Textures { albedo, roughness, metallic, irradiance, emission, diffuse } = &self.textures;
+        let Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking } = &self.textures;
         write_rgb(folder.join(ALBEDO), albedo)?;
         write_gray(folder.join(ROUGHNESS), roughness)?;
         if let Some(metallic) = metallic {
@@ -132,7 +135,7 @@ impl FitOutput {
         if let Some(confidence) = &self.confidence {
             write_gray(folder.join(CONFIDENCE), confidence)?;
         }
-        let scattering = Scattering { diffuse: *diffuse };
+        let scattering = Scattering { diffuse: *diffuse, masking: *masking };
         write_atomic(folder.join(MATERIALS), |sink| serde_json::to_writer_pretty(sink, &scattering))?;
         self.tbl.write(folder.join(HDR_TEXTURE))?;
         mesh_io::obj::write(folder.join(MESH), &self.mesh)
@@ -146,10 +149,11 @@ impl FitOutput {
                 format!("is not the output of a fit: it has no {ALBEDO}; expected the folder given to `texir fit -o`"),
             ));
         }
-        let Scattering { diffuse } = Scattering::read(&folder.join(MATERIALS))?;
+        let Scattering { diffuse, masking } = Scattering::read(&folder.join(MATERIALS))?;
         let optional = |name: &str| Some(folder.join(name)).filter(|path| path.is_file()).map(read_gray).transpose();
         let textures = Textures {
             diffuse,
+            masking,
             albedo: read_rgb(folder.join(ALBEDO))?,
             roughness: read_gray(folder.join(ROUGHNESS))?,
             metallic: optional(METALLIC)?,

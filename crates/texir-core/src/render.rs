@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, ShadePoint};
-use crate::brdf::{self, DIELECTRIC_F0};
+use crate::brdf::{self, DIELECTRIC_F0, Masking};
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::Result;
@@ -19,7 +19,7 @@ use crate::progress::{Progress, Silent};
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::real::V3;
 use crate::scene::Scene;
-use crate::specular_table::{STRATA, TableSampling};
+use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::Hit;
 use crate::texture::{Footprints, Pyramid, Rows};
 
@@ -55,8 +55,10 @@ pub struct Textures {
     pub irradiance: Rgb,
     /// Emitted radiance; 0 where nothing glows.
     pub emission: Rgb,
-    /// The diffuse model that albedo belongs to.
+    /// The diffuse model that albedo belongs to,
     pub diffuse: DiffuseModel,
+    /// and the shadowing–masking term that roughness does.
+    pub masking: Masking,
 }
 
 /// What a camera sees of the textures, before shading. Zero where the ray met nothing.
@@ -89,7 +91,9 @@ impl Surfaces {
 pub struct Renderer<'a> {
     backend: &'a mut dyn Backend,
     scene: &'a Scene,
-    sampling: TableSampling,
+    /// Rays per stratum.
+    rays: u32,
+    seed: u32,
     pyramids: Vec<Pyramid>,
 }
 
@@ -99,13 +103,16 @@ impl<'a> Renderer<'a> {
     pub fn new(backend: &'a mut dyn Backend, scene: &'a Scene, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
         let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
         backend.set_tbl(radiance, &Lights::find(scene, &atlas, radiance))?;
-        let sampling = TableSampling::of_rays(rays / STRATUM.len() as u32, seed);
-        Ok(Self { backend, scene, sampling, pyramids: Vec::new() })
+        Ok(Self { backend, scene, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
     }
 
     /// Rays per pixel.
     pub fn rays_per_pixel(&self) -> u32 {
-        self.sampling.rays() * STRATA as u32
+        self.sampling(Masking::default()).rays() * STRATA as u32
+    }
+
+    fn sampling(&self, masking: Masking) -> TableSampling {
+        TableSampling::of_rays(self.rays, masking, self.seed)
     }
 
     /// Rays of a view, as progress counts them.
@@ -154,13 +161,13 @@ impl<'a> Renderer<'a> {
                 .par_iter()
                 .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], [0.0; 3]); STRATA])
                 .collect();
-            let curves = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, self.sampling, progress)?;
             let is_metal = |of: &&Textures| of.metallic.as_ref().is_some_and(|map| map.data.iter().any(|m| *m > 0.0));
             let metals = textures.iter().any(is_metal);
             // Unasked-for rays are not counted: they depend on the textures.
             let white_points = if metals { &points[..] } else { &[] };
-            let white = self.backend.specular_tables(white_points, 1.0, self.sampling, &Silent)?;
-            progress.advance((pixels.len() * STRATUM.len() - strata.len()) as u64 * u64::from(self.sampling.rays()));
+            let missed = pixels.len() * STRATUM.len() - strata.len();
+            progress.advance(missed as u64 * u64::from(self.sampling(Masking::default()).rays()));
+            let mut tables: Vec<(Masking, [Vec<Curve>; 2])> = Vec::new();
             let seen: Vec<u32> = sub_pixels(&fine, pixels, &ALL).filter(|&i| hits[i as usize].is_hit()).collect();
             for (radiance, textures) in radiance.iter_mut().zip(textures) {
                 let mut add = |i: u32, share: usize, value: [f32; 3]| {
@@ -170,7 +177,18 @@ impl<'a> Renderer<'a> {
                 };
                 let view = |pixels| Seen { camera: &fine, hits: &hits, pixels };
                 let values = self.look_up_all(&view(&strata), textures)?;
-                for (k, (&i, curve)) in strata.iter().zip(&curves).enumerate() {
+                let masking = textures.masking;
+                let known = tables.iter().position(|(of, _)| *of == masking);
+                let at = known.unwrap_or(tables.len());
+                if known.is_none() {
+                    let counted = if tables.is_empty() { progress } else { &Silent };
+                    let sampling = self.sampling(masking);
+                    let dielectric = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, sampling, counted)?;
+                    let white = self.backend.specular_tables(white_points, 1.0, sampling, &Silent)?;
+                    tables.push((masking, [dielectric, white]));
+                }
+                let [curves, white] = &tables[at].1;
+                for (k, (&i, curve)) in strata.iter().zip(curves).enumerate() {
                     let dielectric = curve.at(values.roughness[k]).0;
                     let f0 = brdf::f0(V3(values.albedo[k]), values.metallic[k]);
                     // Linear in F0, and known at two.

@@ -8,6 +8,8 @@
 use bytemuck::{Pod, Zeroable};
 use half::f16;
 
+use crate::brdf::Masking;
+
 /// Roughnesses tabulated.
 pub const NODES: usize = 32;
 /// The smallest and the largest roughness tabulated.
@@ -41,6 +43,8 @@ pub struct TableSampling {
     pub cosine: u32,
     /// To the lights.
     pub light: u32,
+    /// The shadowing–masking term of the lobes that are tabulated.
+    pub masking: Masking,
     /// Seed of the run; a pixel draws from the sequences scrambled by `hash(seed, sequence)` of its first point.
     pub seed: u32,
 }
@@ -48,11 +52,11 @@ pub struct TableSampling {
 impl TableSampling {
     /// About `rays` rays per pixel, at least 24: five eighths to the lobes, a sixteenth cosine-distributed, the rest to the
     /// lights.
-    pub fn of_rays(rays: u32, seed: u32) -> Self {
+    pub fn of_rays(rays: u32, masking: Masking, seed: u32) -> Self {
         let stratum = (rays / STRATA as u32).max(6);
         let lobe = (stratum / 8).max(1);
         let cosine = stratum / 16;
-        Self { lobe, cosine, light: stratum - lobe * LOBES.len() as u32 - cosine, seed }
+        Self { lobe, cosine, light: stratum - lobe * LOBES.len() as u32 - cosine, masking, seed }
     }
 
     /// Rays per pixel.

@@ -120,6 +120,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 light_samples,
                 seed,
                 f0,
+                masking,
                 lobes,
                 nodes,
             }),

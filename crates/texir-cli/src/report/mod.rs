@@ -162,6 +162,7 @@ fn publish(html: &str, path: &Path) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use texir_core::brdf::Masking;
     use texir_core::diffuse::DiffuseModel;
     use texir_core::eval::{AlbedoScore, Table, ViewScores};
     use texir_core::fit::{EpochLog, Stage};
@@ -225,6 +226,7 @@ mod tests {
             irradiance: bands(1.0),
             emission: bands(2.0),
             diffuse: DiffuseModel::Lambert,
+            masking: Masking::Smith,
         };
         let log: Vec<EpochLog> = [Stage::I, Stage::II, Stage::III]
             .into_iter()

@@ -10,6 +10,7 @@ use tempfile::TempDir;
 use texir_core::atlas::Atlas;
 use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{self, Buried};
+use texir_core::brdf::Masking;
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::nerfstudio::write_transforms;
 use texir_core::capture::{Split, View};
@@ -245,7 +246,15 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
         irradiance =
             bake::irradiance(backend, &atlas, gather, &Checkpoints::none(), &Silent).unwrap().map(&atlas, Buried::Fill);
     }
-    Textures { albedo, roughness, metallic: None, irradiance, emission, diffuse: DiffuseModel::Lambert }
+    Textures {
+        albedo,
+        roughness,
+        metallic: None,
+        irradiance,
+        emission,
+        diffuse: DiffuseModel::Lambert,
+        masking: Masking::Smith,
+    }
 }
 
 /// Emission + a/π · E.

@@ -4,7 +4,8 @@
 use super::trace::{Lighting, Trace};
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::{
-    Cosines, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, masking, sample_cos2, sample_weight,
+    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, masking, sample_cos2,
+    sample_weight,
 };
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -82,7 +83,7 @@ fn sample_lobe<R: Real>(
             (d_ln_w, x * R::of(std::f64::consts::LN_2) * slope * d_vh)
         }
     };
-    Some(LobeSample { direction, weight: sample_weight(&c, r), fresnel: x, d_ln_weight, d_fresnel })
+    Some(LobeSample { direction, weight: sample_weight(Masking::Schlick, &c, r), fresnel: x, d_ln_weight, d_fresnel })
 }
 
 /// L_o = a(1−m)E/π + F0⊙A + B with A = Σ w L (1−x), B = Σ w L x over `sampling.samples` samples, and ∂L_o/∂r.

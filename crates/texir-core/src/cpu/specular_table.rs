@@ -5,7 +5,7 @@ use super::irradiance::cosine_direction;
 use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::ShadePoint;
-use crate::brdf::{basis, distribution_at, fresnel_weight, masking, sample_cos2};
+use crate::brdf::{basis, distribution_at, fresnel_weight, sample_cos2};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -27,7 +27,7 @@ pub fn specular_table<R: Real, T: Trace<R>>(
     let nodes: [R; NODES] = std::array::from_fn(|k| R::of(f64::from(node(k))));
     for (stratum, point) in strata.iter().enumerate() {
         let nv = V3::<R>::of(point.normal).dot(V3::of(point.view)).max(R::of(0.0)).min(R::of(1.0));
-        let seen = nodes.map(|r| masking(nv, r) * R::of(0.25));
+        let seen = nodes.map(|r| sampling.masking.at(nv, r) * R::of(0.25));
         let table = lights.table(point.position.into(), point.normal.into());
         let drawn = Drawn { lighting, lights, table, point, f0, sampling, nodes: &nodes, seen: &seen };
         let sequence = |technique: usize, samples: u32| {
@@ -105,7 +105,7 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
         let light = self.lighting.radiance_at(&hit) * (lobe.nl * fresnel / self.density(&lobe, &hit, direction));
         // f_s / F = D g(nl) g(nv) / 4.
         for ((sum, &r), &seen) in sums.iter_mut().zip(self.nodes).zip(self.seen) {
-            *sum = *sum + light * (distribution_at(lobe.sin2, r) * masking(lobe.nl, r) * seen);
+            *sum = *sum + light * (distribution_at(lobe.sin2, r) * self.sampling.masking.at(lobe.nl, r) * seen);
         }
     }
 

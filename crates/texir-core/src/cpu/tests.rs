@@ -10,7 +10,7 @@ use super::shade_vjp::shade_vjp;
 use super::trace::{Exhaustive, Lighting, Trace};
 use super::*;
 use crate::atlas::Atlas;
-use crate::brdf;
+use crate::brdf::{self, Masking};
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::real::{Dual, Real};
@@ -115,7 +115,8 @@ fn detached<R: Real>(light: &Lighting<'_, Exhaustive<'_>>, point: &ShadePoint, r
         let at = brdf::Cosines { nl: n.dot(l), nv: n.dot(v), nh: cos, vh };
         let moving = brdf::Cosines { nl: R::of(at.nl), nv: R::of(at.nv), nh: R::of(at.nh), vh: R::of(at.vh) };
         let x = R::of(brdf::fresnel_weight(vh));
-        let value = brdf::specular_over_fresnel(&moving, moved) * R::of(at.nl / brdf::pdf(&at, r) / 64.0);
+        let value =
+            brdf::specular_over_fresnel(Masking::Schlick, &moving, moved) * R::of(at.nl / brdf::pdf(&at, r) / 64.0);
         let incoming = light.incoming(V3::<f64>::of(point.position), l).map(R::of);
         sum = sum + f0.map(|f| f * (R::of(1.0) - x) + x).hadamard(incoming) * value;
     }

@@ -7,7 +7,7 @@ use super::Flat;
 use super::emitters::{Choice, Emitters};
 use super::random::Sample;
 use crate::brdf::{
-    Cosines, DIELECTRIC_F0, basis, fresnel_weight, pdf, sample_cos2, sample_weight, specular_over_fresnel,
+    Cosines, DIELECTRIC_F0, Masking, basis, fresnel_weight, pdf, sample_cos2, sample_weight, specular_over_fresnel,
 };
 use crate::cpu::trace::{Trace, intersect};
 use crate::error::Result;
@@ -144,7 +144,7 @@ pub(super) fn lobe(normal: Vec3, view: Vec3, light: Vec3, roughness: f32) -> (f3
         nh: normal.dot(half).clamp(0.0, 1.0),
         vh: view.dot(half).clamp(1e-4, 1.0),
     };
-    (specular_over_fresnel(&c, roughness) * fresnel(c.vh) * c.nl, pdf(&c, roughness))
+    (specular_over_fresnel(Masking::Smith, &c, roughness) * fresnel(c.vh) * c.nl, pdf(&c, roughness))
 }
 
 /// Draws a direction from the lobe; `None` below the surface.
@@ -158,7 +158,11 @@ pub(super) fn sample_lobe(normal: Vec3, view: Vec3, roughness: f32, [u, v]: [f32
         return None;
     }
     let c = Cosines { nl: nl.min(1.0), nv: normal.dot(view).clamp(0.0, 1.0), nh, vh: vh.min(1.0) };
-    Some(LobeSample { direction, weight: sample_weight(&c, roughness) * fresnel(c.vh), pdf: pdf(&c, roughness) })
+    Some(LobeSample {
+        direction,
+        weight: sample_weight(Masking::Smith, &c, roughness) * fresnel(c.vh),
+        pdf: pdf(&c, roughness),
+    })
 }
 
 /// The unit direction at polar cosine `cosine` and azimuth 2π·`turn` about `normal`.

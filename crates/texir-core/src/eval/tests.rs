@@ -5,6 +5,7 @@ use std::path::Path;
 use glam::{Mat4, Vec2, Vec3};
 
 use super::*;
+use crate::brdf::Masking;
 use crate::camera::{Camera, Projection};
 use crate::capture::Truth;
 use crate::cpu::CpuBackend;
@@ -43,6 +44,7 @@ fn textures() -> Textures {
         irradiance: rgb(&|i| [1.0 + 0.02 * (i % 23) as f32; 3]),
         emission: rgb(&|_| [0.0; 3]),
         diffuse: DiffuseModel::Lambert,
+        masking: Masking::Smith,
     }
 }
 

@@ -21,6 +21,7 @@ use glam::Vec3;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake;
+use crate::brdf::Masking;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
@@ -71,8 +72,10 @@ pub struct Materials {
     pub metallic: Option<Gray>,
     /// Irradiance E with which the materials explain the images.
     pub irradiance: Rgb,
-    /// The diffuse model that albedo belongs to.
+    /// The diffuse model that albedo belongs to,
     pub diffuse: DiffuseModel,
+    /// and the shadowing–masking term that roughness does.
+    pub masking: Masking,
     /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
     pub confidence: Option<Gray>,
 }
@@ -164,8 +167,8 @@ pub fn fit(
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
         Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
     };
-    let Materials { albedo, roughness, metallic, irradiance, diffuse, confidence } = materials;
-    let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse };
+    let Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence } = materials;
+    let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
     timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })

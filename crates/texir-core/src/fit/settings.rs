@@ -4,6 +4,7 @@ use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 
 use crate::backend::RoughnessGradient;
+use crate::brdf::Masking;
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
@@ -79,6 +80,8 @@ pub struct FullSettings {
     pub cosine_samples: u32,
     /// and to the light sources.
     pub light_samples: u32,
+    /// How the microfacets of highlights hide each other: `smith`, as engines have it, or `schlick`, as the paper does.
+    pub masking: Masking,
     /// How diffuse radiance depends on the direction to the camera: `auto`, `lambert` or `burley`.
     pub diffuse: DiffuseChoice,
     /// Albedo by least squares.
@@ -320,6 +323,7 @@ impl Default for FullSettings {
             lobe_samples: 6,
             cosine_samples: 2,
             light_samples: 12,
+            masking: Masking::Smith,
             diffuse: DiffuseChoice::default(),
             albedo: AlbedoSettings::default(),
             roughness: RoughnessSettings::default(),
@@ -409,8 +413,8 @@ impl FullSettings {
 
     /// How the light samples of view `view` are drawn in a run of seed `seed`.
     pub fn sampling(&self, seed: u32, view: u32) -> TableSampling {
-        let Self { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, .. } = *self;
-        TableSampling { lobe, cosine, light, seed: hash2(seed, view) }
+        let Self { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, masking, .. } = *self;
+        TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
     fn checks(&self) -> [Check; 29] {

@@ -10,6 +10,7 @@ use serde_json::json;
 
 use super::{IMAGE, TEXT, TIFF, survives};
 use crate::authored;
+use crate::brdf::Masking;
 use crate::capture::{Classes, Corrections, Coverage, Tbl};
 use crate::checkpoint::{Array, Checkpoints};
 use crate::diffuse::DiffuseModel;
@@ -241,9 +242,9 @@ fn results_of_a_fit() {
     let folder = tempfile::tempdir().unwrap();
     let gray = Gray::filled(4, 2, 0.5);
     let [albedo, irradiance, emission] = [0.5, 1.0, 0.0].map(|v| Rgb::filled(4, 2, [v; 3]));
-    let diffuse = DiffuseModel::Lambert;
-    let textures =
-        Textures { albedo, roughness: gray.clone(), metallic: Some(gray.clone()), irradiance, emission, diffuse };
+    let (diffuse, masking) = (DiffuseModel::Lambert, Masking::Smith);
+    let (roughness, metallic) = (gray.clone(), Some(gray.clone()));
+    let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
     let fit = FitOutput { mesh: mesh(), tbl: texture_with_coverage(), textures, confidence: Some(gray) };
     fit.save(folder.path()).unwrap();
     survives(&folder, &["materials.json", "albedo.exr"], IMAGE, |folder| {

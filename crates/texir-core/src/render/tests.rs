@@ -52,6 +52,8 @@ fn textures(diffuse: DiffuseModel, roughness: f32) -> Textures {
         irradiance: rgb(IRRADIANCE),
         emission: rgb(0.0),
         diffuse,
+        // As in shading.
+        masking: Masking::Schlick,
     }
 }
 
@@ -83,13 +85,15 @@ fn views_agree_with_shading_of_every_sub_pixel() {
     let lambert = textures(DiffuseModel::Lambert, roughness);
     let burley = textures(DiffuseModel::Burley, roughness);
     let smoother = textures(DiffuseModel::Lambert, 0.15);
-    let [rendered, burley, smoother] =
-        renderer.render_each(&camera(), [&lambert, &burley, &smoother], &Silent).unwrap();
+    let smith = Textures { masking: Masking::Smith, ..lambert.clone() };
+    let [rendered, burley, smoother, smith] =
+        renderer.render_each(&camera(), [&lambert, &burley, &smoother, &smith], &Silent).unwrap();
 
     let expected = shaded(&mut backend, &scene, Material::dielectric([ALBEDO; 3], roughness));
     let off = difference(&rendered, &expected);
     assert!(off < 0.01, "{off}");
-    // Negative controls: another roughness and another diffuse model show.
+    // Negative controls: another roughness, another diffuse model and another masking show.
+    assert!(difference(&smith, &expected) > 1.5 * off, "{off} {}", difference(&smith, &expected));
     assert!(difference(&smoother, &expected) > 2.0 * off, "{off} {}", difference(&smoother, &expected));
     assert!(difference(&burley, &expected) > 2.0 * off, "{off} {}", difference(&burley, &expected));
 }

@@ -32,6 +32,8 @@ pub(crate) struct SpecularTableParams {
     pub light_samples: u32,
     pub seed: u32,
     pub f0: f32,
+    pub masking: u32,
+    pub padding: [u32; 3],
     pub lobes: [f32; 8],
     pub nodes: [f32; NODES],
 }
@@ -82,6 +84,8 @@ impl Gathering for SpecularTable<'_> {
             light_samples: self.sampling.light,
             seed: self.sampling.seed,
             f0: self.f0,
+            masking: self.sampling.masking as u32,
+            padding: [0; 3],
             lobes: from_fn(|lobe| LOBES.get(lobe).copied().unwrap_or(0.0)),
             nodes: from_fn(node),
         });

@@ -119,6 +119,7 @@ pub fn recover(
         metallic: settings.metallic.enabled.then(|| atlas.scatter_padded(&metallic, &all, 0.0, bake::PADDING)),
         irradiance: atlas.scatter_padded(&corrected, &all, [0.0; 3], bake::PADDING),
         diffuse,
+        masking: settings.masking,
         confidence: Some(atlas.scatter_padded(&confidence, &all, 0.0, bake::PADDING)),
     })
 }

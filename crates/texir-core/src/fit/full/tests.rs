@@ -8,6 +8,7 @@ use super::observations::Observations;
 use super::scan::{minimum, scan};
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
+use crate::brdf::Masking;
 use crate::cpu::CpuBackend;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
@@ -106,7 +107,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let sampling = Sampling { samples: 1 << 14, seed: 7 };
     let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
     seen.radiance = shaded.iter().map(|s| Vec3A::from(s.radiance)).collect();
-    let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, seed: 5 };
+    let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, masking: Masking::Schlick, seed: 5 };
     seen.curves = backend.specular_tables(&strata, 0.04, sampling, &Silent).unwrap();
     seen.white_curves = backend.specular_tables(&strata, 1.0, sampling, &Silent).unwrap();
     seen.block = (0..strata.len() as u32).collect();

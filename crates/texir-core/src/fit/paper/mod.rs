@@ -9,6 +9,7 @@ use super::{Ground, Materials};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
+use crate::brdf::Masking;
 use crate::capture::View;
 use crate::diffuse::DiffuseModel;
 use crate::error::Result;
@@ -66,6 +67,7 @@ pub fn fit(
         metallic: None,
         irradiance: ground.irradiance.clone(),
         diffuse: DiffuseModel::Lambert,
+        masking: Masking::Schlick,
         confidence: None,
     })
 }
