@@ -124,7 +124,7 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
     let nl = dot(point.normal, aim.direction);
     let nv = dot(point.normal, point.view);
     let nh = saturate(dot(point.normal, half));
-    let c = Cosines(min(nl, 1.0), min(nv, 1.0), nh, clamp(dot(point.view, half), 1e-6, 1.0));
+    let c = Cosines(saturate(nl), saturate(nv), nh, clamp(dot(point.view, half), 1e-6, 1.0));
     // A negative limit makes the traversal end at once for what does not count anyway.
     let hit = closest_hit(point.position, aim.direction, select(-1.0, T_FAR, present && nl > 0.0 && nv > 0.0));
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
