@@ -12,6 +12,7 @@ pub mod capture;
 pub mod checkpoint;
 mod cholesky;
 pub mod cpu;
+pub mod decimate;
 pub mod demo;
 pub mod denoise;
 pub mod diffuse;

@@ -100,8 +100,8 @@ pub fn unwrap_mesh(mesh: &Mesh, progress: &dyn Progress) -> Result<UnwrappedMesh
     }
     let largest = SIDES[SIDES.len() - 1];
     Err(Error::invalid(format!(
-        "the mesh falls into too many charts for an atlas of {largest}×{largest} texels: smooth or simplify it first, or \
-         unwrap it in another program"
+        "the mesh falls into too many charts for an atlas of {largest}×{largest} texels: reduce it with --decimate, smooth \
+         it, or unwrap it in another program"
     )))
 }
 

@@ -51,6 +51,9 @@ pub struct SourceArgs {
     /// Length of the source's unit
     #[arg(long, value_name = "METRES")]
     metres_per_unit: Option<f64>,
+    /// Reduce the mesh to about so many triangles, and give it a new atlas
+    #[arg(long, value_name = "TRIANGLES")]
+    decimate: Option<usize>,
     /// Give the mesh a new atlas; without this, only where its own is missing or has overlaps
     #[arg(long)]
     unwrap: bool,
@@ -59,7 +62,8 @@ pub struct SourceArgs {
 impl SourceArgs {
     /// Something is said about the source: it is not to be taken as it is.
     pub fn are_given(&self) -> bool {
-        self.format.is_some() || self.up.is_some() || self.metres_per_unit.is_some() || self.unwrap
+        let Self { format, up, metres_per_unit, decimate, unwrap } = self;
+        format.is_some() || up.is_some() || metres_per_unit.is_some() || decimate.is_some() || *unwrap
     }
 
     /// The same for the library.
@@ -69,6 +73,7 @@ impl SourceArgs {
             mesh,
             up: self.up,
             metres_per_unit: self.metres_per_unit,
+            decimate: self.decimate,
             unwrap: self.unwrap,
             ..ImportOptions::default()
         }

@@ -102,6 +102,8 @@ pub struct ImportOptions {
     pub metres_per_unit: Option<f64>,
     /// How 8 and 16-bit images encode linear light; without it they are refused.
     pub curve: Option<TransferCurve>,
+    /// Reduce the mesh to so many triangles, and give it a new atlas.
+    pub decimate: Option<usize>,
     /// Give the mesh a new atlas even if its own is one.
     pub unwrap: bool,
     /// Link to images that need no change, instead of copying them.
@@ -177,7 +179,11 @@ pub fn read(folder: impl AsRef<Path>, options: &ImportOptions, progress: &dyn Pr
     let mesh = frame.place_mesh(mesh);
     let mut import =
         Import { root: folder.to_owned(), format: importer.name(), shots, mesh, mesh_path, textures, assumed };
-    if let Some(why) = atlas::lacking(&import, unplaced, options) {
+    let reduced = match options.decimate {
+        Some(target) => atlas::reduce(&mut import, target, progress)?,
+        None => None,
+    };
+    if let Some(why) = reduced.or_else(|| atlas::lacking(&import, unplaced, options)) {
         atlas::renew(&mut import, &why, progress)?;
     }
     Ok(import)
