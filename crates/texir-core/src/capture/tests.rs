@@ -15,7 +15,7 @@ use crate::raster::{Labels, Mask};
 
 /// Collects warnings.
 #[derive(Default)]
-struct Warnings(Mutex<Vec<String>>);
+pub(crate) struct Warnings(Mutex<Vec<String>>);
 
 impl Progress for Warnings {
     fn start(&self, _: &str, _: u64, _: &str) {}
@@ -30,7 +30,7 @@ impl Progress for Warnings {
 }
 
 impl Warnings {
-    fn all(self) -> Vec<String> {
+    pub(crate) fn all(self) -> Vec<String> {
         self.0.into_inner().unwrap()
     }
 }

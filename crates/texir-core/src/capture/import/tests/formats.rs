@@ -3,6 +3,7 @@
 use serde_json::json;
 
 use super::*;
+use crate::capture::tests::Warnings;
 use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels, write_png_rgb};
 use crate::raster::{Gray, Labels, Raster};
 
@@ -463,6 +464,46 @@ fn textures_do_not_outlive_their_atlas() {
     };
     assert!(with_texture(&ImportOptions::default()));
     assert!(!with_texture(&ImportOptions { unwrap: true, ..ImportOptions::default() }));
+}
+
+/// The COLMAP scene with 800 triangles of hills that are 20 cm high, and what the reader says about them.
+fn decimated(target: usize) -> Result<(Import, Vec<String>)> {
+    let folder = colmap(Vec3::Z, false);
+    let mut hills = Mesh::default();
+    for (i, j) in (0..=20).flat_map(|j| (0..=20).map(move |i| (i, j))) {
+        let uv = Vec2::new(i as f32, j as f32) / 20.0;
+        hills.positions.push(Vec3::new(4.0 * uv.x, 3.0 * uv.y, 0.1 * (6.0 * uv.x).sin() * (5.0 * uv.y).cos()));
+        hills.normals.push(Vec3::Z);
+        hills.uvs.push(uv);
+        if i < 20 && j < 20 {
+            let a = 21 * j + i;
+            hills.triangles.extend([[a, a + 1, a + 22], [a, a + 22, a + 21]]);
+        }
+    }
+    obj::write(folder.path().join("mesh.obj"), &hills)?;
+    let (warnings, options) = (Warnings::default(), ImportOptions { decimate: Some(target), ..Default::default() });
+    Ok((super::super::read(folder.path(), &options, &warnings)?, warnings.all()))
+}
+
+#[test]
+fn dense_meshes_are_reduced_and_unwrapped() {
+    let (read, warnings) = decimated(300).unwrap();
+    assert!((299..=300).contains(&read.mesh.triangles.len()) && warnings.is_empty(), "{warnings:?}");
+    assert_says(&read.assumed.join("\n"), &["new atlas", "reduced from 800 to", "mm"]);
+    assert!(crate::mesh_io::atlas_report(&read.mesh, 1024).problems().is_empty());
+    assert!((0..read.mesh.triangles.len() as u32).all(|t| read.mesh.face_normal(t).z > 0.9));
+
+    let (read, warnings) = decimated(12).unwrap();
+    assert!(read.mesh.triangles.len() > 30, "{}", read.mesh.triangles.len());
+    assert_says(&warnings.join("\n"), &["mesh.obj", "triangles are left, not 12", "more than 10 mm"]);
+
+    let (read, warnings) = decimated(800).unwrap();
+    assert!(read.mesh.triangles.len() == 800 && warnings.is_empty(), "{warnings:?}");
+    assert_says(&read.assumed.join("\n"), &["not reduced", "800 triangles"]);
+    assert!(!read.assumed.join("\n").contains("new atlas"));
+
+    let refused = decimated(0).map(|_| ()).unwrap_err().to_string();
+    assert_says(&refused, &["mesh.obj", "to 0 triangles", "12 or more"]);
 }
 
 #[test]
