@@ -205,8 +205,8 @@ impl Fusion<'_> {
     }
 
     /// Light sources get the radiance that explains the pixels, and what is beside them is blended anew without the pixels
-    /// that mix the two; it counts as unseen where there are no others. Returns the mean
-    /// over the channels above which a texel is a source.
+    /// that mix the two; it counts as unseen where there are no others. Returns the mean over
+    /// the channels above which a texel is a source.
     fn separate_sources(
         &self,
         backend: &mut dyn Backend,
