@@ -1,34 +1,45 @@
-//! What stands over each cell of the floor plan: the mesh rasterised into vertical columns of 64 slices.
+//! What stands over each cell of a storey's plan: the mesh rasterised into vertical columns of 64 slices.
 
 use glam::{Vec2, Vec3};
 
+use super::storeys::{LEVEL_BIN, Storey};
+use super::{Grid, HORIZONTAL};
 use crate::error::{Error, Result};
 
-/// Triangles steeper than this (|cos| of the tilt) are walls, flatter ones floors, ceilings and table tops.
-const HORIZONTAL: f32 = 0.7;
-/// Height of a bin when floors and ceilings are looked for, metres.
-const LEVEL_BIN: f32 = 0.02;
-/// A level with at least this share of the largest one's area may be a ceiling: rooms differ in height.
-const CEILING_SHARE: f32 = 0.05;
 /// Empty cells around the mesh, so that everything has an outside.
 const MARGIN: usize = 3;
 /// Cells of the largest plan that is made: more than 400 m × 400 m at 5 cm is a wrong unit or a stray vertex.
 const MAX_CELLS: f64 = 6.4e7;
 
-/// The columns over a floor plan. Plan coordinates: x and y in the floor's plane, z up, metres.
+/// The grid over triangles given in plan coordinates, with a margin. Errors without a finite triangle, and on more cells than
+/// [`MAX_CELLS`].
+pub(super) fn grid_over(triangles: impl Iterator<Item = [Vec3; 3]>, cell: f32) -> Result<Grid> {
+    let (lo, hi) = triangles
+        .flatten()
+        .filter(|p| p.is_finite())
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+    if lo.x > hi.x {
+        return Err(Error::invalid("the mesh has no triangle with finite corners: no floor plan can be made"));
+    }
+    let extent = ((hi - lo) / cell).ceil();
+    if f64::from(extent.x + 2.0) * f64::from(extent.y + 2.0) > MAX_CELLS {
+        return Err(Error::invalid(format!(
+            "the floor plan of a mesh of {:.1} m × {:.1} m needs too many cells of {cell} m: check the mesh's unit \
+             (metres are expected) and stray vertices, or raise the cell size",
+            hi.x - lo.x,
+            hi.y - lo.y
+        )));
+    }
+    let (width, height) = (extent.x as usize + 1 + 2 * MARGIN, extent.y as usize + 1 + 2 * MARGIN);
+    Ok(Grid { width, height, origin: lo.truncate() - MARGIN as f32 * cell, cell })
+}
+
+/// The columns over a storey. Plan coordinates: x and y in the floor's plane, z up, metres.
 pub(super) struct Columns {
-    /// Cells along x.
-    pub width: usize,
-    /// Cells along y.
-    pub height: usize,
-    /// Plan coordinates of the corner of cell (0, 0).
-    pub origin: Vec2,
-    /// Edge of a cell, metres.
-    pub cell: f32,
-    /// Height of the floor.
-    pub floor: f32,
-    /// Height of the highest ceiling.
-    pub top: f32,
+    /// The cells.
+    pub grid: Grid,
+    /// Heights of the floor and of the highest ceiling.
+    pub storey: Storey,
     /// Per cell, bit i set: some surface passes through slice i of the 64 between floor and top.
     filled: Vec<u64>,
     /// Per cell, the highest floor, table or ceiling; −∞ where there is nothing.
@@ -36,52 +47,12 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// Rasterises triangles given in plan coordinates; `eye_height` lies between floor and ceiling.
-    pub fn new(
-        triangles: impl Iterator<Item = [Vec3; 3]> + Clone,
-        cell: f32,
-        eye_height: impl FnOnce(f32, f32) -> f32,
-    ) -> Result<Self> {
-        let (lo, hi) = triangles
-            .clone()
-            .flatten()
-            .filter(|p| p.is_finite())
-            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
-        if lo.x > hi.x {
-            return Err(Error::invalid("the mesh has no triangle with finite corners: no floor plan can be made"));
-        }
-        let extent = ((hi - lo) / cell).ceil();
-        if f64::from(extent.x + 2.0) * f64::from(extent.y + 2.0) > MAX_CELLS {
-            return Err(Error::invalid(format!(
-                "the floor plan of a mesh of {:.1} m × {:.1} m needs too many cells of {cell} m: check the mesh's unit \
-                 (metres are expected) and stray vertices, or raise the cell size",
-                hi.x - lo.x,
-                hi.y - lo.y
-            )));
-        }
-        let (floor, top) = levels(triangles.clone(), lo.z, hi.z, eye_height(lo.z, hi.z));
-        let (width, height) = (extent.x as usize + 1 + 2 * MARGIN, extent.y as usize + 1 + 2 * MARGIN);
-        let mut columns = Self {
-            width,
-            height,
-            origin: lo.truncate() - MARGIN as f32 * cell,
-            cell,
-            floor,
-            top,
-            filled: vec![0; width * height],
-            highest: vec![f32::NEG_INFINITY; width * height],
-        };
-        for triangle in triangles {
-            columns.add(triangle);
-        }
-        Ok(columns)
-    }
-
-    /// The cell under a point in plan coordinates, clamped to the plan.
-    pub fn cell_of(&self, p: Vec2) -> usize {
-        let g = ((p - self.origin) / self.cell).floor();
-        let (x, y) = (g.x.max(0.0) as usize, g.y.max(0.0) as usize);
-        y.min(self.height - 1) * self.width + x.min(self.width - 1)
+    /// Rasterises what lies in a storey of triangles given in plan coordinates.
+    pub fn new(triangles: impl Iterator<Item = [Vec3; 3]>, grid: Grid, storey: Storey) -> Self {
+        let cells = grid.width * grid.height;
+        let mut columns = Self { grid, storey, filled: vec![0; cells], highest: vec![f32::NEG_INFINITY; cells] };
+        triangles.for_each(|triangle| columns.add(triangle));
+        columns
     }
 
     /// Whether a floor, a ceiling or anything else horizontal lies in the cell's column.
@@ -91,7 +62,7 @@ impl Columns {
 
     /// Height of the cell's ceiling: its highest horizontal surface, if that is above head height.
     pub fn ceiling(&self, cell: usize, head: f32) -> Option<f32> {
-        (self.highest[cell] > self.floor + head).then_some(self.highest[cell])
+        (self.highest[cell] > self.storey.floor + head).then_some(self.highest[cell])
     }
 
     /// Share of the slices between two heights that some surface passes through.
@@ -102,10 +73,11 @@ impl Columns {
 
     /// The slices that a height interval touches.
     fn slices(&self, from: f32, to: f32) -> u64 {
-        if to < self.floor || from > self.top {
+        let Storey { floor, top } = self.storey;
+        if to < floor || from > top {
             return 0;
         }
-        let slice = |z: f32| (((z - self.floor) / (self.top - self.floor) * 64.0).max(0.0) as u32).min(63);
+        let slice = |z: f32| (((z - floor) / (top - floor) * 64.0).max(0.0) as u32).min(63);
         let (first, last) = (slice(from), slice(to));
         (u64::MAX >> (63 - last)) & (u64::MAX << first)
     }
@@ -120,20 +92,20 @@ impl Columns {
         let whole = Polygon::from(triangle);
         let (y0, y1) = whole.range(1);
         for y in self.index(y0, 1)..=self.index(y1, 1) {
-            let row = whole.slab(1, self.origin.y + y as f32 * self.cell, self.cell);
+            let row = whole.slab(1, self.grid.origin.y + y as f32 * self.grid.cell, self.grid.cell);
             let (x0, x1) = row.range(0);
             if x0 > x1 {
                 continue;
             }
             for x in self.index(x0, 0)..=self.index(x1, 0) {
-                let (z0, z1) = row.slab(0, self.origin.x + x as f32 * self.cell, self.cell).range(2);
+                let (z0, z1) = row.slab(0, self.grid.origin.x + x as f32 * self.grid.cell, self.grid.cell).range(2);
                 if z0 > z1 {
                     continue;
                 }
-                let cell = y * self.width + x;
+                let cell = y * self.grid.width + x;
                 self.filled[cell] |= self.slices(z0, z1);
-                // What lies above the ceiling (a roof) or far below the floor is not this storey's.
-                if horizontal && z1 <= self.top + LEVEL_BIN && z0 >= self.floor - LEVEL_BIN {
+                // What lies above the ceiling (a roof) or below the floor is not this storey's.
+                if horizontal && z1 <= self.storey.top + LEVEL_BIN && z0 >= self.storey.floor - LEVEL_BIN {
                     self.highest[cell] = self.highest[cell].max(z1);
                 }
             }
@@ -142,33 +114,9 @@ impl Columns {
 
     /// Column (axis 0) or row (axis 1) of a plan coordinate.
     fn index(&self, value: f32, axis: usize) -> usize {
-        let limit = [self.width, self.height][axis] - 1;
-        (((value - self.origin[axis]) / self.cell).max(0.0) as usize).min(limit)
+        let limit = [self.grid.width, self.grid.height][axis] - 1;
+        (((value - self.grid.origin[axis]) / self.grid.cell).max(0.0) as usize).min(limit)
     }
-}
-
-/// Heights of the floor and of the highest ceiling: the levels, below and above eye height, where the horizontal area is.
-fn levels(triangles: impl Iterator<Item = [Vec3; 3]>, lo: f32, hi: f32, eye: f32) -> (f32, f32) {
-    /// Bins of the histogram at most: a tower 2 km high.
-    const MAX_BINS: f32 = 1e5;
-    let bins = ((hi - lo) / LEVEL_BIN).min(MAX_BINS) as usize + 1;
-    let bin = |z: f32| (((z - lo) / (hi - lo).max(LEVEL_BIN) * (bins - 1) as f32).max(0.0) as usize).min(bins - 1);
-    let mut area = vec![0.0f32; bins];
-    for [a, b, c] in triangles {
-        let normal = (b - a).cross(c - a);
-        if normal.is_finite() && normal.z.abs() > HORIZONTAL * normal.length() {
-            area[bin((a.z + b.z + c.z) / 3.0)] += normal.length() / 2.0;
-        }
-    }
-    let height = |bin: usize| lo + bin as f32 / (bins - 1).max(1) as f32 * (hi - lo);
-    let largest =
-        |range: std::ops::Range<usize>| range.filter(|&b| area[b] > 0.0).max_by(|&a, &b| area[a].total_cmp(&area[b]));
-    let eye = bin(eye);
-    let floor = largest(0..eye).map_or(lo, height);
-    let top = largest(eye..bins)
-        .and_then(|main| (main..bins).rev().find(|&b| area[b] >= CEILING_SHARE * area[main]))
-        .map_or(hi, |b| height(b) + LEVEL_BIN);
-    (floor, top.max(floor + LEVEL_BIN))
 }
 
 /// A convex polygon: a triangle cut by at most four planes.
@@ -233,14 +181,16 @@ mod tests {
     #[test]
     fn a_tilted_triangle_touches_exactly_the_cells_that_it_overlaps() {
         let triangle = [Vec3::new(0.03, 0.02, 0.0), Vec3::new(0.93, 0.11, 2.0), Vec3::new(0.31, 0.77, 4.0)];
-        let columns = Columns::new([triangle].into_iter(), 0.1, |_, _| 1.0).unwrap();
+        let triangles = [triangle].into_iter();
+        let grid = grid_over(triangles.clone(), 0.1).unwrap();
+        let columns = Columns::new(triangles, grid, Storey { floor: 0.0, top: 4.0 });
         // Brute force: dense points of the triangle. A touched cell without one is grazed at a corner.
         let mut reached = vec![false; columns.filled.len()];
         for i in 0..=600 {
             for j in 0..=600 - i {
                 let (u, v) = (i as f32 / 600.0, j as f32 / 600.0);
                 let p = triangle[0] * (1.0 - u - v) + triangle[1] * u + triangle[2] * v;
-                reached[columns.cell_of(p.truncate())] = true;
+                reached[grid.cell_of(p.truncate())] = true;
             }
         }
         for (cell, _) in reached.iter().enumerate().filter(|(_, reached)| **reached) {
@@ -259,8 +209,10 @@ mod tests {
                 [Vec3::new(0.0, 0.0, z0), Vec3::new(1.0, 0.0, z1), Vec3::new(0.0, 0.0, z1)],
             ]
         };
-        let columns = Columns::new([wall(0.0, 1.0), wall(2.0, 3.2)].into_iter().flatten(), 0.05, |_, _| 1.5).unwrap();
-        let cell = columns.cell_of(Vec2::new(0.5, 0.0));
+        let walls = [wall(0.0, 1.0), wall(2.0, 3.2)].into_iter().flatten();
+        let grid = grid_over(walls.clone(), 0.05).unwrap();
+        let columns = Columns::new(walls, grid, Storey { floor: 0.0, top: 3.2 });
+        let cell = grid.cell_of(Vec2::new(0.5, 0.0));
         assert!(columns.share(cell, 0.1, 0.9) == 1.0 && columns.share(cell, 2.1, 3.1) == 1.0);
         assert!(columns.share(cell, 1.1, 1.9) == 0.0);
     }

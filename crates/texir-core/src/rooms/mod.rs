@@ -3,25 +3,26 @@
 //! The mesh is rasterised into vertical columns (`columns.rs`). A wall fills its column from sitting to head height and up
 //! to the ceiling; furniture fills neither, so it does not split a room; a lintel fills only the part under the ceiling.
 //! What is covered by a floor or a ceiling and not walled is free space, and free space is cut into rooms at lintels no
-//! wider than a door and where it narrows to a doorway (`segment.rs`). One storey at a time: what lies under the floor
-//! that the cameras stand on, or above the highest ceiling, is left out.
+//! wider than a door and where it narrows to a doorway (`segment.rs`). Every storey that cameras stand in (`storeys.rs`) has a
+//! plan of its own; what lies under its floor or above its highest ceiling is left out.
 
 mod columns;
 mod distance;
 mod picture;
+mod plan;
 mod segment;
+mod storeys;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
-use glam::{Mat3, Vec2, Vec3};
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::raster::{Labels, Mask};
-use columns::Columns;
+use columns::{Columns, grid_over};
+pub use plan::{FloorPlan, Grid, StoreyPlan};
 
 /// How rooms are found. Lengths in metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,6 +65,8 @@ impl RoomOptions {
     }
 }
 
+/// Triangles steeper than this (|cos| of the tilt) are walls, flatter ones floors, ceilings and table tops.
+const HORIZONTAL: f32 = 0.7;
 /// Lower and upper end, above the floor, of the part of a column that a wall fills and a table does not.
 const BODY: (f32, f32) = (0.3, 1.9);
 /// Lower and upper end, below the ceiling, of the part that walls and lintels fill and doors and wardrobes do not.
@@ -81,105 +84,60 @@ const HOLE_AREA: f32 = 1.0;
 /// Cells under a lintel, and free scraps, join a room no further away than this, metres.
 const REACH: f32 = 0.3;
 
-/// A floor plan: room ids on a grid in the plane perpendicular to the up direction.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FloorPlan {
-    /// Room id per cell, from 1; 0 for walls and the outside. Row j holds plan coordinates y from `origin.y + j·cell`.
-    pub rooms: Labels,
-    /// Cells that hold a wall.
-    pub walls: Mask,
-    /// Plan coordinates of the outer corner of cell (0, 0), metres.
-    pub origin: Vec2,
-    /// Edge of a cell, metres.
-    pub cell: f32,
-    /// Rows: plan x, plan y and up, in world space. With +Z up, plan x and y are the world's.
-    plan_from_world: Mat3,
-    /// Per cell, the id of the nearest room.
-    nearest: Labels,
-}
-
-impl FloorPlan {
-    /// A plan from given ids, such as a room map that came with the capture. Errors on a plan without a room, or
-    /// `walls` of another size.
-    pub fn new(rooms: Labels, walls: Mask, origin: Vec2, cell: f32, up: Vec3) -> Result<Self> {
-        if rooms.size() != walls.size() {
-            return Err(Error::invalid(format!("{:?} room ids, but {:?} wall flags", rooms.size(), walls.size())));
-        }
-        let sources = distance::nearest(&rooms.map(|&id| id != 0))
-            .ok_or_else(|| Error::invalid("no room was found: the floor plan has no cell with a room id"))?;
-        let data = sources.iter().map(|&cell| rooms.data[cell as usize]).collect();
-        let nearest = Labels::new(rooms.width, rooms.height, data)?;
-        Ok(Self { rooms, walls, origin, cell, plan_from_world: plan_from_world(up), nearest })
-    }
-
-    /// Number of rooms.
-    pub fn count(&self) -> usize {
-        self.rooms.data.iter().copied().max().unwrap_or(0).into()
-    }
-
-    /// Plan coordinates of a world point.
-    pub fn plan(&self, point: Vec3) -> Vec2 {
-        (self.plan_from_world * point).truncate()
-    }
-
-    /// The room at a world point in free space, or the nearest one; never 0.
-    pub fn room_at(&self, point: Vec3) -> u16 {
-        let cell = ((self.plan(point) - self.origin) / self.cell).floor();
-        let column = (cell.x.max(0.0) as usize).min(self.nearest.width - 1);
-        let row = (cell.y.max(0.0) as usize).min(self.nearest.height - 1);
-        *self.nearest.at(column, row)
-    }
-
-    /// The room that a surface faces: the one in front of `point` along its `normal`, so that the two sides of a wall
-    /// belong to two rooms. Never 0.
-    pub fn room_of(&self, point: Vec3, normal: Vec3) -> u16 {
-        self.room_at(point + normal.normalize_or_zero() * (1.5 * self.cell))
-    }
-
-    /// Writes the plan as a picture: rooms in distinct colours with their ids, walls dark, cameras as dots; plan y up.
-    pub fn write_png(&self, path: &Path, cameras: &[Vec3]) -> Result<()> {
-        picture::write(self, path, cameras)
-    }
-}
-
-/// The rotation whose rows are plan x, plan y and up.
-fn plan_from_world(up: Vec3) -> Mat3 {
-    let up = up.normalize_or(Vec3::Z);
-    let forward = if up.x.abs() < 0.9 { Vec3::X } else { Vec3::Y };
-    let x = forward.reject_from_normalized(up).normalize_or(Vec3::X);
-    Mat3::from_cols(x, up.cross(x), up).transpose()
-}
-
-/// Finds the rooms of a mesh. `cameras` are positions known to lie inside rooms: they tell floor from ceiling (without
-/// them, half the mesh's height does) and are free space even where the scan has holes.
+/// Finds the rooms of a mesh. `cameras` are positions known to lie inside rooms: they tell storeys apart and floor from
+/// ceiling (without them, half the mesh's height does) and are free space even where the scan has holes. Errors where
+/// there is no room, and on options or a mesh that no plan can be made with.
 pub fn detect(mesh: &Mesh, cameras: &[Vec3], options: &RoomOptions) -> Result<FloorPlan> {
     options.check()?;
     let up = Vec3::from(options.up);
-    let rotation = plan_from_world(up);
+    let rotation = plan::plan_from_world(up);
     let cameras: Vec<Vec3> = cameras.iter().filter(|c| c.is_finite()).map(|&c| rotation * c).collect();
     let triangles = (0..mesh.triangles.len() as u32).map(|t| mesh.corners(t).map(|p| rotation * p));
-    let columns = Columns::new(triangles, options.cell, |lo, hi| {
-        let mut heights: Vec<f32> = cameras.iter().map(|c| c.z).filter(|&z| z > lo && z < hi).collect();
-        heights.sort_by(f32::total_cmp);
-        heights.get(heights.len() / 2).copied().unwrap_or(0.5 * (lo + hi))
-    })?;
-    let (walls, lintels) = obstacles(&columns, options);
-    let free = free_space(&columns, &walls, &lintels, &cameras);
-    let mut rooms = segment::rooms(&free, options.cell, options);
-    if rooms.data.iter().all(|&id| id == 0) {
+    let grid = grid_over(triangles.clone(), options.cell)?;
+    let mut plans: Vec<StoreyPlan> = Vec::new();
+    let (mut count, mut top_below) = (0, None);
+    for storey in storeys::find(triangles.clone(), &cameras) {
+        let columns = Columns::new(triangles.clone(), grid, storey);
+        let (mut rooms, walls) = rooms_of(&columns, &cameras, options);
+        let found = rooms.data.iter().copied().max().unwrap_or(0);
+        if found > u16::MAX - count {
+            return Err(Error::invalid(format!(
+                "more than {} rooms were found: raise rooms.min_area, which is {} m²",
+                u16::MAX,
+                options.min_area
+            )));
+        }
+        rooms.data.iter_mut().filter(|id| **id != 0).for_each(|id| *id += count);
+        count += found;
+        // The slab between two storeys is cut in its middle.
+        let from = top_below.map_or(f32::NEG_INFINITY, |top: f32| 0.5 * (top + storey.floor));
+        top_below = Some(storey.top);
+        if found > 0 {
+            plans.push(StoreyPlan::new(rooms, walls, from)?);
+        }
+    }
+    if plans.is_empty() {
         return Err(Error::invalid(format!(
             "no room was found: no free floor of {} m² between walls. Check that the mesh is in metres and that {:?} \
              points up",
             options.min_area, options.up
         )));
     }
+    FloorPlan::new(grid, plans, up)
+}
+
+/// The rooms of a storey, from 1, and the cells with walls.
+fn rooms_of(columns: &Columns, cameras: &[Vec3], options: &RoomOptions) -> (Labels, Mask) {
+    let (walls, lintels) = obstacles(columns, options);
+    let free = free_space(columns, &walls, &lintels, cameras);
+    let mut rooms = segment::rooms(&free, options.cell, options);
     fill_passages(&mut rooms, &free, &lintels, options.cell);
-    FloorPlan::new(rooms, walls, columns.origin, options.cell, up)
+    (rooms, walls)
 }
 
 /// Cells with walls, and cells with lintels short enough to be a door's.
 fn obstacles(columns: &Columns, options: &RoomOptions) -> (Mask, Mask) {
-    let (w, h) = (columns.width, columns.height);
+    let (w, h) = (columns.grid.width, columns.grid.height);
     let known =
         Mask { width: w, height: h, data: (0..w * h).map(|c| columns.ceiling(c, HEAD_ROOM).is_some()).collect() };
     // Where the scan's ceiling has a hole, the nearest known height serves; where it has none at all, the mesh's top.
@@ -188,9 +146,9 @@ fn obstacles(columns: &Columns, options: &RoomOptions) -> (Mask, Mask) {
     let mut lintels = walls.clone();
     for c in 0..w * h {
         let source = nearest_ceiling.as_ref().map_or(c, |n| n[c] as usize);
-        let ceiling = columns.ceiling(source, HEAD_ROOM).unwrap_or(columns.top);
+        let ceiling = columns.ceiling(source, HEAD_ROOM).unwrap_or(columns.storey.top);
         if columns.share(c, ceiling - HEAD.0, ceiling - HEAD.1) >= FILLED {
-            let wall = columns.share(c, columns.floor + BODY.0, columns.floor + BODY.1) >= FILLED;
+            let wall = columns.share(c, columns.storey.floor + BODY.0, columns.storey.floor + BODY.1) >= FILLED;
             walls.data[c] = wall;
             lintels.data[c] = !wall;
         }
@@ -229,13 +187,14 @@ fn free_space(columns: &Columns, walls: &Mask, lintels: &Mask, cameras: &[Vec3])
     let obstacle = |c: usize| walls.data[c] || lintels.data[c];
     let open = Mask { width: w, height: h, data: (0..w * h).map(|c| !obstacle(c)).collect() };
     let mut free = Mask { width: w, height: h, data: (0..w * h).map(|c| open.data[c] && columns.covered(c)).collect() };
-    for camera in cameras {
-        let c = columns.cell_of(camera.truncate());
+    let here = |c: &&Vec3| (columns.storey.floor..columns.storey.top).contains(&c.z);
+    for camera in cameras.iter().filter(here) {
+        let c = columns.grid.cell_of(camera.truncate());
         free.data[c] = open.data[c];
     }
     let uncovered = Mask { width: w, height: h, data: (0..w * h).map(|c| open.data[c] && !free.data[c]).collect() };
     for hole in segment::components(&uncovered) {
-        if hole.len() as f32 * columns.cell * columns.cell > HOLE_AREA {
+        if hole.len() as f32 * columns.grid.cell.powi(2) > HOLE_AREA {
             continue;
         }
         // The hollow of a wall is small as well, but walls surround it.

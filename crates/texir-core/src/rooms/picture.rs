@@ -1,13 +1,14 @@
 //! The floor plan as a picture.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
 
-use super::FloorPlan;
+use super::{FloorPlan, Grid};
 use crate::error::Result;
 use crate::image_io::write_png_rgb;
-use crate::raster::Raster;
+use crate::raster::{Labels, Raster};
 
 /// The longer side of the picture, pixels, at least where the plan has fewer cells.
 const SIZE: usize = 1200;
@@ -18,34 +19,39 @@ const CAMERA: [u8; 3] = [214, 40, 40];
 /// 3×5 digits, one row of pixels per octal digit, top row first.
 const DIGITS: [u16; 10] = [0o75557, 0o26227, 0o71747, 0o71717, 0o55711, 0o74717, 0o74757, 0o71111, 0o75757, 0o75717];
 
-/// Writes the plan; plan y points up.
+/// Writes the plan; plan y points up, the lowest storey is on the left.
 pub(super) fn write(plan: &FloorPlan, path: &Path, cameras: &[Vec3]) -> Result<()> {
     write_png_rgb(path, &draw(plan, cameras))
 }
 
 fn draw(plan: &FloorPlan, cameras: &[Vec3]) -> Raster<[u8; 3]> {
-    let (w, h) = plan.rooms.size();
-    let scale = (SIZE / w.max(h)).max(1);
-    let (width, height) = (w * scale, h * scale);
-    let cell = |i: usize| {
+    let Grid { width: w, height: h, origin, cell } = plan.grid;
+    let scale = (SIZE / (w * plan.storeys.len()).max(h)).max(1);
+    let (width, height) = (w * plan.storeys.len() * scale, h * scale);
+    let colour_at = |i: usize| {
         let (cx, cy) = (i % width / scale, h - 1 - i / width / scale);
-        match *plan.rooms.at(cx, cy) {
-            _ if *plan.walls.at(cx, cy) => WALL,
+        let storey = &plan.storeys[cx / w];
+        match *storey.rooms.at(cx % w, cy) {
+            _ if *storey.walls.at(cx % w, cy) => WALL,
             0 => OUTSIDE,
             id => colour(id),
         }
     };
-    let mut canvas = Raster { width, height, data: (0..width * height).map(cell).collect() };
-    // Cells to picture, y up.
-    let place = |p: Vec2| Vec2::new(p.x, h as f32 - p.y) * scale as f32;
-    let radius = (0.08 / plan.cell * scale as f32).max(2.0);
+    let mut canvas = Raster { width, height, data: (0..width * height).map(colour_at).collect() };
+    // Cells of a storey to picture, y up.
+    let place = |storey: usize, p: Vec2| Vec2::new((storey * w) as f32 + p.x, h as f32 - p.y) * scale as f32;
+    let radius = (0.08 / cell * scale as f32).max(2.0);
     for &camera in cameras.iter().filter(|c| c.is_finite()) {
-        disc(&mut canvas, place((plan.plan(camera) - plan.origin) / plan.cell), radius);
+        let at = (plan.plan(camera).truncate() - origin) / cell;
+        disc(&mut canvas, place(plan.storey_at(camera), at), radius);
     }
-    let dot = (0.06 / plan.cell * scale as f32).max(2.0);
-    for id in 1..=plan.count() as u16 {
-        if let Some(anchor) = anchor(plan, id) {
-            number(&mut canvas, id, place(anchor), dot.round());
+    let dot = (0.06 / cell * scale as f32).max(2.0);
+    for (k, storey) in plan.storeys.iter().enumerate() {
+        let ids: BTreeSet<u16> = storey.rooms.data.iter().copied().filter(|&id| id != 0).collect();
+        for id in ids {
+            if let Some(anchor) = anchor(&storey.rooms, id) {
+                number(&mut canvas, id, place(k, anchor), dot.round());
+            }
         }
     }
     canvas
@@ -61,11 +67,11 @@ fn colour(id: u16) -> [u8; 3] {
 }
 
 /// Where a room's number fits best, in cells: its cell that is furthest from any other room or wall.
-fn anchor(plan: &FloorPlan, id: u16) -> Option<Vec2> {
-    let w = plan.rooms.width;
-    let other = super::distance::nearest(&plan.rooms.map(|&other| other != id))?;
-    (0..plan.rooms.data.len())
-        .filter(|&c| plan.rooms.data[c] == id)
+fn anchor(rooms: &Labels, id: u16) -> Option<Vec2> {
+    let w = rooms.width;
+    let other = super::distance::nearest(&rooms.map(|&other| other != id))?;
+    (0..rooms.data.len())
+        .filter(|&c| rooms.data[c] == id)
         .map(|c| (c, super::distance::between(w, c, other[c] as usize)))
         .max_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(c, _)| Vec2::new((c % w) as f32 + 0.5, (c / w) as f32 + 0.5))

@@ -1,6 +1,6 @@
 //! Floor plans made of a few quads, with a known answer.
 
-use glam::Quat;
+use glam::{Quat, Vec2};
 
 use super::*;
 use crate::rng::hash2;
@@ -227,15 +227,174 @@ fn a_frayed_scan_with_holes_gives_the_same_rooms() {
     assert_eq!((plan.room_at(at(2.0, 2.0)), plan.room_at(at(6.0, 1.0))), (1, 2));
 }
 
+/// Floor of the upper storey of [`house`].
+const UPSTAIRS: f32 = 2.9;
+
+/// Two storeys of 8 m × 4 m, joined by stairs in a stairwell at x < 1.2, y < 3.2: two rooms below, which a door joins, three
+/// above. `slab` is the thickness of what lies between them; without, one sheet is ceiling and floor.
+fn house(slab: bool) -> Flat {
+    let mut house = divided(0.9);
+    house.0.triangles.drain(2..4);
+    let holed = |house: &mut Flat, z: f32| {
+        house.slab(Vec2::new(1.2, 0.0), Vec2::new(8.0, 4.0), z);
+        house.slab(Vec2::new(0.0, 3.2), Vec2::new(1.2, 4.0), z);
+    };
+    let downwards = |house: &mut Flat, from: usize| house.0.triangles[from..].iter_mut().for_each(|t| t.swap(0, 1));
+    let from = house.0.triangles.len();
+    if slab {
+        holed(&mut house, HEIGHT);
+        downwards(&mut house, from);
+    }
+    let floor = if slab { UPSTAIRS } else { HEIGHT };
+    holed(&mut house, floor);
+    let from = house.0.triangles.len();
+    house.slab(Vec2::ZERO, Vec2::new(8.0, 4.0), floor + HEIGHT);
+    downwards(&mut house, from);
+    for step in 0..16 {
+        let (y, z) = (0.2 * step as f32, floor * step as f32 / 16.0);
+        house.slab(Vec2::new(0.0, y), Vec2::new(1.2, y + 0.2), z);
+        house = house.wall_between([0.0, y], [1.2, y], [z - floor / 16.0, z]);
+    }
+    let upper = [floor, floor + HEIGHT];
+    // The outer walls go through both storeys; above, walls at x = 3 and x = 6, with a door each.
+    for (a, b) in
+        [([0.0, 0.0], [8.0, 0.0]), ([8.0, 0.0], [8.0, 4.0]), ([8.0, 4.0], [0.0, 4.0]), ([0.0, 4.0], [0.0, 0.0])]
+    {
+        house = house.wall_between(a, b, [0.0, floor + HEIGHT]);
+    }
+    for x in [3.0, 6.0] {
+        house = house.wall_between([x, 0.9], [x, 4.0], upper).wall_between(
+            [x, 0.0],
+            [x, 0.9],
+            [floor + DOOR_HEAD, upper[1]],
+        );
+    }
+    house
+}
+
+/// Cameras in [`house`]: three below at different heights, one on the stairs, three above.
+fn eyes() -> [Vec3; 7] {
+    [
+        at(2.0, 2.0),
+        Vec3::new(3.0, 1.0, 0.9),
+        Vec3::new(6.0, 3.0, 1.9),
+        Vec3::new(0.6, 1.5, 2.75),
+        Vec3::new(2.0, 2.0, UPSTAIRS + 1.4),
+        Vec3::new(4.0, 2.0, UPSTAIRS + 1.7),
+        Vec3::new(7.0, 2.0, UPSTAIRS + 1.2),
+    ]
+}
+
+#[test]
+fn storeys_have_rooms_of_their_own() {
+    let as_built = house(true).0;
+    let mut inside_out = as_built.clone();
+    inside_out.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+    let mut both_sides = as_built.clone();
+    both_sides.triangles.extend(&inside_out.triangles);
+    for (what, mesh) in [
+        ("as built", as_built),
+        ("inside out", inside_out),
+        ("both sides", both_sides),
+        ("one sheet between the storeys", house(false).0),
+    ] {
+        let plan = detect(&mesh, &eyes(), &RoomOptions::default()).unwrap();
+        assert_eq!((plan.storeys.len(), plan.count()), (2, 5), "{what}");
+        let room = |x: f32, y: f32, z: f32| plan.room_at(Vec3::new(x, y, z));
+        // By size: below, 1 is left of the wall; above, 3 and 4 have 12 m², 5 has 8.
+        for z in [0.05, 1.5, 2.5] {
+            assert_eq!((room(2.0, 2.0, z), room(6.0, 2.0, z)), (1, 2), "{what}, {z} m up");
+        }
+        for z in [2.95, 4.4, 5.1] {
+            let above = [2.0, 4.5, 7.0].map(|x| room(x, 2.0, z));
+            assert!(above == [3, 4, 5] || above == [4, 3, 5], "{what}, {z} m up: {above:?}");
+        }
+        // The stairwell belongs to the room that it opens to.
+        assert_eq!((room(0.6, 0.6, 1.2), room(0.6, 2.9, 4.2)), (1, room(2.0, 2.0, 4.2)), "{what}");
+        // Both sides of the slab.
+        let ceiling = if what.starts_with("one") { HEIGHT } else { UPSTAIRS };
+        assert_eq!(plan.room_of(Vec3::new(6.0, 2.0, ceiling), Vec3::Z), room(6.0, 2.0, 4.0), "{what}");
+        assert_eq!(plan.room_of(Vec3::new(6.0, 2.0, HEIGHT), -Vec3::Z), 2, "{what}");
+    }
+    // Negative control: where no camera stands there is no storey.
+    for (eyes, rooms) in [(&eyes()[..3], 2), (&eyes()[4..], 3)] {
+        let plan = detect(&house(true).0, eyes, &RoomOptions::default()).unwrap();
+        assert_eq!((plan.storeys.len(), plan.count()), (1, rooms));
+    }
+}
+
+#[test]
+fn cameras_high_and_low_in_one_storey_do_not_make_two() {
+    // A hall 3.6 m high; a third of its floor is covered by shelves as high as a man, with cameras over them.
+    let mut hall = Flat::default();
+    hall.slab(Vec2::ZERO, Vec2::new(8.0, 6.0), 0.0);
+    hall.slab(Vec2::ZERO, Vec2::new(8.0, 6.0), 3.6);
+    for (a, b) in
+        [([0.0, 0.0], [8.0, 0.0]), ([8.0, 0.0], [8.0, 6.0]), ([8.0, 6.0], [0.0, 6.0]), ([0.0, 6.0], [0.0, 0.0])]
+    {
+        hall = hall.wall_between(a, b, [0.0, 3.6]);
+    }
+    for y in [1.0, 2.7, 4.4] {
+        hall = hall.block([1.0, y], [7.0, y + 0.9], [0.0, 2.2]);
+    }
+    let eyes = [Vec3::new(0.5, 3.0, 1.2), Vec3::new(7.5, 3.0, 1.7), Vec3::new(4.0, 1.5, 2.8)];
+    let plan = detect(&hall.0, &eyes, &RoomOptions::default()).unwrap();
+    assert_eq!((plan.storeys.len(), plan.count()), (1, 1));
+}
+
+#[test]
+fn a_sloped_ceiling_has_walls_up_to_it() {
+    // An attic: the ceiling rises from 1 m at both eaves to 3.4 m, in large triangles and in small ones; a gable wall
+    // divides it, with a door or without.
+    for pieces in [1, 40] {
+        let attic = |door: bool| {
+            let mut attic = Flat::default();
+            attic.slab(Vec2::ZERO, Vec2::new(9.0, 6.0), 0.0);
+            let ceiling = |y: f32| 1.0 + 2.4 * (1.0 - (y - 3.0).abs() / 3.0);
+            for piece in 0..pieces {
+                let at = |i: i32| 3.0 * i as f32 / pieces as f32;
+                for (y0, y1) in [(at(piece), at(piece + 1)), (6.0 - at(piece), 6.0 - at(piece + 1))] {
+                    let corner = |x: f32, y: f32| Vec3::new(x, y, ceiling(y));
+                    attic.quad([corner(0.0, y0), corner(9.0, y0), corner(9.0, y1), corner(0.0, y1)]);
+                }
+            }
+            for y in [0.0, 6.0] {
+                attic = attic.wall_between([0.0, y], [9.0, y], [0.0, 1.0]);
+            }
+            for x in [0.0, 5.0, 9.0] {
+                let door = door && x == 5.0;
+                for (y0, y1) in [(0.0, 2.5), (3.5, 6.0)] {
+                    let (y0, y1): (f32, f32) = (y0, y1);
+                    attic
+                        .quad([[x, y0, 0.0], [x, y1, 0.0], [x, y1, ceiling(y1)], [x, y0, ceiling(y0)]].map(Vec3::from));
+                }
+                let (from, apex) = (if door { DOOR_HEAD } else { 0.0 }, 3.4);
+                attic.quad([[x, 2.5, from], [x, 3.5, from], [x, 3.5, 3.0], [x, 2.5, 3.0]].map(Vec3::from));
+                attic.quad([[x, 2.5, 3.0], [x, 3.5, 3.0], [x, 3.0, apex], [x, 3.0, apex]].map(Vec3::from));
+            }
+            attic.0
+        };
+        for door in [true, false] {
+            let plan = detect(&attic(door), &[], &RoomOptions::default()).unwrap();
+            assert_eq!(plan.count(), 2, "{pieces} pieces, door: {door}");
+            assert_eq!((plan.room_at(at(2.0, 3.0)), plan.room_at(at(7.0, 3.0))), (1, 2));
+        }
+    }
+}
+
 #[test]
 fn given_ids_answer_like_detected_ones() {
     let rooms = Labels::new(4, 1, vec![7, 0, 0, 9]).unwrap();
     let walls = Mask::filled(4, 1, false);
-    let plan = FloorPlan::new(rooms, walls.clone(), Vec2::new(10.0, 0.0), 1.0, Vec3::Z).unwrap();
+    let grid = Grid { width: 4, height: 1, origin: Vec2::new(10.0, 0.0), cell: 1.0 };
+    let storey = StoreyPlan::new(rooms, walls.clone(), f32::NEG_INFINITY).unwrap();
+    let plan = FloorPlan::new(grid, vec![storey.clone()], Vec3::Z).unwrap();
     let rooms: Vec<u16> = [9.0, 10.5, 11.5, 12.5, 13.5, 20.0].map(|x| plan.room_at(at(x, 0.5))).into();
     assert_eq!(rooms, [7, 7, 7, 9, 9, 9]);
-    let empty = FloorPlan::new(Labels::filled(4, 1, 0), walls, Vec2::ZERO, 1.0, Vec3::Z);
+    let empty = StoreyPlan::new(Labels::filled(4, 1, 0), walls, 0.0);
     assert!(empty.is_err_and(|e| e.to_string().contains("no room")));
+    assert!(FloorPlan::new(grid, vec![], Vec3::Z).is_err());
+    assert!(FloorPlan::new(Grid { width: 5, ..grid }, vec![storey], Vec3::Z).is_err());
 }
 
 #[test]
@@ -262,9 +421,9 @@ fn the_picture_shows_rooms_walls_and_cameras() {
     let plan = divided(0.9).plan();
     plan.write_png(&path, &[at(1.0, 0.5)]).unwrap();
     let picture = image::open(&path).unwrap().to_rgb8();
-    let scale = picture.width() as f32 / plan.rooms.width as f32 / plan.cell;
+    let scale = picture.width() as f32 / plan.grid.width as f32 / plan.grid.cell;
     let pixel = |x: f32, y: f32| {
-        let p = (Vec2::new(x, y) - plan.origin) * scale;
+        let p = (Vec2::new(x, y) - plan.grid.origin) * scale;
         picture.get_pixel(p.x as u32, picture.height() - 1 - p.y as u32).0
     };
     assert_eq!(pixel(3.0, 0.5), pixel(0.3, 3.7), "one colour per room");
