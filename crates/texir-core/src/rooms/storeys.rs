@@ -13,8 +13,8 @@ use super::{HEAD_ROOM, HORIZONTAL};
 pub(super) const LEVEL_BIN: f32 = 0.02;
 /// Bins at most: a tower 2 km high.
 const MAX_BINS: f32 = 1e5;
-/// Floors are uneven by this much, metres.
-const UNEVEN: f32 = 0.1;
+/// Floors are uneven by this many bins to either side.
+const UNEVEN: usize = 2;
 /// A level may be another storey's floor if it has at least this share of the largest level's area: galleries are small.
 const FLOOR_SHARE: f32 = 0.15;
 /// Floors of two storeys are at least this far apart, metres.
@@ -39,7 +39,7 @@ pub(super) struct Storey {
 /// cameras are in plan coordinates. There is always one.
 pub(super) fn find(triangles: impl Iterator<Item = [Vec3; 3]> + Clone, cameras: &[Vec3]) -> Vec<Storey> {
     let levels = Levels::new(triangles);
-    let (lo, hi) = levels.range();
+    let (lo, hi) = (levels.lo, levels.height(levels.count()));
     let mut eyes: Vec<f32> = cameras.iter().map(|c| c.z).filter(|&z| z > lo && z < hi).collect();
     eyes.sort_by(f32::total_cmp);
     if eyes.is_empty() {
@@ -60,20 +60,17 @@ pub(super) fn find(triangles: impl Iterator<Item = [Vec3; 3]> + Clone, cameras: 
 struct Levels {
     /// Height of the lower end of the first bin.
     lo: f32,
-    /// m² per bin that face up.
-    up: Vec<f32>,
-    /// m² per bin that face down.
-    down: Vec<f32>,
-    /// m² per bin that face either way.
-    any: Vec<f32>,
+    up: Areas,
+    down: Areas,
+    /// Up and down together.
+    any: Areas,
 }
 
 impl Levels {
     fn new(triangles: impl Iterator<Item = [Vec3; 3]> + Clone) -> Self {
         let heights = triangles.clone().flatten().map(|p| p.z).filter(|z| z.is_finite());
         let (lo, hi) = heights.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), z| (lo.min(z), hi.max(z)));
-        let bins = ((hi - lo) / LEVEL_BIN).clamp(0.0, MAX_BINS) as usize + 1;
-        let none = vec![0.0; bins];
+        let none = Areas(vec![0.0; ((hi - lo) / LEVEL_BIN).clamp(0.0, MAX_BINS) as usize + 1]);
         let mut levels = Self { lo, up: none.clone(), down: none.clone(), any: none };
         for corners in triangles {
             let [a, b, c] = corners;
@@ -87,35 +84,32 @@ impl Levels {
             let share = normal.length() / 2.0 / bins.len() as f32;
             let side = if normal.z > 0.0 { &mut levels.up } else { &mut levels.down };
             for areas in [side, &mut levels.any] {
-                areas[bins.clone()].iter_mut().for_each(|area| *area += share);
+                areas.0[bins.clone()].iter_mut().for_each(|area| *area += share);
             }
         }
         levels
     }
 
+    fn count(&self) -> usize {
+        self.any.0.len()
+    }
+
     fn bin(&self, z: f32) -> usize {
-        (((z - self.lo) / LEVEL_BIN).max(0.0) as usize).min(self.up.len() - 1)
+        (((z - self.lo) / LEVEL_BIN).max(0.0) as usize).min(self.count() - 1)
     }
 
     fn height(&self, bin: usize) -> f32 {
         self.lo + bin as f32 * LEVEL_BIN
     }
 
-    fn range(&self) -> (f32, f32) {
-        (self.lo, self.height(self.up.len()))
-    }
-
     /// Indices of the lowest camera of each storey.
     fn starts(&self, eyes: &[f32]) -> Vec<usize> {
-        let any = &self.any;
-        let bins = (UNEVEN / LEVEL_BIN) as usize;
-        let area = |at: usize| any[at.saturating_sub(bins / 2)..(at + bins / 2 + 1).min(any.len())].iter().sum::<f32>();
-        let enough = FLOOR_SHARE * (0..any.len()).map(area).fold(0.0, f32::max);
+        let enough = FLOOR_SHARE * self.any.most(0..self.count());
         let mut starts = vec![0];
         let mut floor = self.floor(0..self.bin(eyes[0])).unwrap_or(0);
         for i in 1..eyes.len() {
             let above = self.bin(eyes[i - 1]).max(floor + (STOREY / LEVEL_BIN) as usize);
-            if let Some(next) = self.floor(above..self.bin(eyes[i])).filter(|&level| area(level) >= enough) {
+            if let Some(next) = self.floor(above..self.bin(eyes[i])).filter(|&level| self.any.at(level) >= enough) {
                 starts.push(i);
                 floor = next;
             }
@@ -132,7 +126,7 @@ impl Levels {
             .collect();
         let storey = |k: usize| {
             let next = floors.get(k + 1).copied().or_else(|| self.floor_above(eye(k), floors[k]));
-            let ceiling = self.top(eye(k)..next.map_or(self.up.len(), |next| self.under(eye(k), next)));
+            let ceiling = self.top(eye(k)..next.map_or(self.count(), |next| self.under(eye(k), next)));
             let floor = self.height(floors[k]);
             Storey { floor, top: (self.height(ceiling) + LEVEL_BIN).max(floor + LEVEL_BIN) }
         };
@@ -141,53 +135,69 @@ impl Levels {
 
     /// The highest main level: under it lies another storey's, perhaps, or a hollow.
     fn floor(&self, bins: Range<usize>) -> Option<usize> {
-        let area = self.facing(&self.up, &bins);
-        let most = area[largest(area, bins.clone())?];
-        bins.rev().find(|&bin| area[bin] >= MAIN * most)
+        let areas = self.facing(&self.up, &bins);
+        areas.main(bins.clone(), areas.most(bins)).next_back()
     }
 
     /// A floor that no camera stands on, or a roof: the lowest main level above a storey, if it is told by its side.
     fn floor_above(&self, eye: usize, floor: usize) -> Option<usize> {
-        let (all, above) = (0..self.up.len(), eye..self.up.len());
-        let most = MAIN * self.up[largest(&self.up, all)?];
-        let told = std::ptr::eq(self.facing(&self.down, &above), self.down.as_slice());
-        above
-            .skip((floor + (STOREY / LEVEL_BIN) as usize).saturating_sub(eye))
-            .find(|&bin| told && self.up[bin] >= most)
+        let from = eye.max(floor + (STOREY / LEVEL_BIN) as usize);
+        let most = self.up.most(0..self.count());
+        self.up.main(from..self.count(), most).next().filter(|_| self.told(&self.down, &(eye..self.count())))
     }
 
     /// The end of the levels between eye height and the floor above that may be ceilings: the floor is none, unless it is the
     /// only thing there, one sheet.
     fn under(&self, eye: usize, floor: usize) -> usize {
-        let most = |to: usize| largest(&self.any, eye..to).map_or(0.0, |level| self.any[level]);
-        let clear = floor.saturating_sub((UNEVEN / LEVEL_BIN) as usize);
-        if most(clear) >= MAIN * most(floor + 1) { clear } else { floor + 1 }
+        let clear = floor.saturating_sub(2 * UNEVEN + 1);
+        if self.any.most(eye..clear) >= MAIN * self.any.most(eye..floor + 1) { clear } else { floor + 1 }
     }
 
     /// The highest level with a ceiling; the end of `bins` where there is none.
     fn top(&self, bins: Range<usize>) -> usize {
-        let area = self.facing(&self.down, &bins);
-        let stray = ABOVE_CEILING * area.get(bins.clone()).map_or(0.0, |area| area.iter().sum());
+        let areas = &self.facing(&self.down, &bins).0;
+        let stray = ABOVE_CEILING * areas.get(bins.clone()).map_or(0.0, |areas| areas.iter().sum());
         let mut above = 0.0;
         let reached = |&bin: &usize| {
-            above += area[bin];
+            above += areas[bin];
             above > stray
         };
         bins.clone().rev().find(reached).unwrap_or(bins.end)
     }
 
     /// The areas of a side where that tells: see [`MAIN`].
-    fn facing<'a>(&'a self, side: &'a [f32], bins: &Range<usize>) -> &'a [f32] {
+    fn facing<'a>(&'a self, side: &'a Areas, bins: &Range<usize>) -> &'a Areas {
         if self.told(side, bins) { side } else { &self.any }
     }
 
-    fn told(&self, side: &[f32], bins: &Range<usize>) -> bool {
-        let most = |areas: &[f32]| largest(areas, bins.clone()).map_or(0.0, |level| areas[level]);
-        most(side) >= MAIN * most(&self.any)
+    fn told(&self, side: &Areas, bins: &Range<usize>) -> bool {
+        side.most(bins.clone()) >= MAIN * self.any.most(bins.clone())
     }
 }
 
-/// The bin with the largest area, if there is any.
-fn largest(area: &[f32], bins: Range<usize>) -> Option<usize> {
-    bins.filter(|&bin| area[bin] > 0.0).max_by(|&a, &b| area[a].total_cmp(&area[b]))
+/// m² per bin.
+#[derive(Clone)]
+struct Areas(Vec<f32>);
+
+impl Areas {
+    /// The area of an uneven level, m².
+    fn at(&self, level: usize) -> f32 {
+        self.around(level).map(|bin| self.0[bin]).sum()
+    }
+
+    /// The bins that an uneven level reaches over.
+    fn around(&self, level: usize) -> Range<usize> {
+        level.saturating_sub(UNEVEN)..(level + UNEVEN + 1).min(self.0.len())
+    }
+
+    /// The area of the largest level.
+    fn most(&self, bins: Range<usize>) -> f32 {
+        bins.map(|bin| self.at(bin)).fold(0.0, f32::max)
+    }
+
+    /// The levels that are main where the largest has the area `most`, each at the bin with most of it.
+    fn main(&self, bins: Range<usize>, most: f32) -> impl DoubleEndedIterator<Item = usize> {
+        let peak = |level: usize| self.around(level).max_by(|&a, &b| self.0[a].total_cmp(&self.0[b])).unwrap_or(level);
+        bins.filter(move |&bin| most > 0.0 && self.at(bin) >= MAIN * most).map(peak)
+    }
 }
