@@ -1,6 +1,6 @@
 //! Views of a scene with given textures: what `render`, `eval` and `report` look at.
 //!
-//! primary hits → trilinear footprints → material at every pixel ([`Renderer::surfaces`]) → the same for sub-pixels, with
+//! primary hits → material at every pixel centre ([`Renderer::surfaces`]); primary hits of sub-pixels → trilinear footprints →
 //! specular radiance from tables over roughness, diffuse radiance and emission, averaged ([`Renderer::render`]).
 
 use std::f32::consts::FRAC_1_PI;
@@ -120,13 +120,13 @@ impl<'a> Renderer<'a> {
         camera.pixels() as u64 * u64::from(self.rays_per_pixel())
     }
 
-    /// The materials and light at every pixel centre.
+    /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Textures) -> Result<Surfaces> {
         let hits = self.backend.primary(camera)?;
         let mut all = Values::default();
         let pixels: Vec<u32> = (0..camera.pixels() as u32).collect();
         for pixels in pixels.chunks(CHUNK) {
-            all.append(self.look_up_all(&Seen { camera, hits: &hits, pixels }, textures)?);
+            all.append(self.look_up_all(&Seen { camera, hits: &hits, pixels, filter: Filter::Point }, textures)?);
         }
         let (width, height) = (camera.width, camera.height);
         Ok(Surfaces {
@@ -175,7 +175,7 @@ impl<'a> Renderer<'a> {
                     let sum = &mut radiance.data[y * camera.width + x];
                     *sum = std::array::from_fn(|c| sum[c] + value[c] / share as f32);
                 };
-                let view = |pixels| Seen { camera: &fine, hits: &hits, pixels };
+                let view = |pixels| Seen { camera: &fine, hits: &hits, pixels, filter: Filter::Area };
                 let values = self.look_up_all(&view(&strata), textures)?;
                 let masking = textures.masking;
                 let known = tables.iter().position(|(of, _)| *of == masking);
@@ -238,7 +238,7 @@ impl<'a> Renderer<'a> {
         Ok(values.as_chunks::<3>().0.to_vec())
     }
 
-    /// `channels` numbers per pixel of a texture of the given size, trilinear.
+    /// `channels` numbers per pixel of a texture of the given size.
     fn look_up(
         &mut self,
         size: (usize, usize),
@@ -250,7 +250,7 @@ impl<'a> Renderer<'a> {
         let index = self.pyramid(size)?;
         let pyramid = &self.pyramids[index];
         let at = known.iter().position(|(of, _)| *of == index).unwrap_or_else(|| {
-            known.push((index, seen.trilinear(pyramid, &self.scene.mesh)));
+            known.push((index, seen.footprints(pyramid, &self.scene.mesh)));
             known.len() - 1
         });
         self.backend.lookup(pyramid, texture, channels, &known[at].1)
@@ -276,19 +276,32 @@ fn sub_pixels<'a>(fine: &Camera, pixels: &'a [u32], which: &'a [(usize, usize)])
     })
 }
 
-/// Trilinear footprints by pyramid, so that textures of one size share theirs.
+/// Footprints by pyramid, so that textures of one size share theirs.
 type Known = Vec<(usize, Footprints)>;
+
+/// What of a texture a pixel shows.
+#[derive(Clone, Copy)]
+enum Filter {
+    /// What lies at its centre: bilinear.
+    Point,
+    /// What it covers: trilinear.
+    Area,
+}
 
 /// Pixels of a view, and what the view hits.
 struct Seen<'a> {
     camera: &'a Camera,
     hits: &'a [Hit],
     pixels: &'a [u32],
+    filter: Filter,
 }
 
 impl Seen<'_> {
-    fn trilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
-        Footprints::of_pixels(pyramid, mesh, self.camera, 1, self.hits, self.pixels)
+    fn footprints(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
+        match self.filter {
+            Filter::Point => self.bilinear(pyramid, mesh),
+            Filter::Area => Footprints::of_pixels(pyramid, mesh, self.camera, 1, self.hits, self.pixels),
+        }
     }
 
     fn bilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
