@@ -14,8 +14,11 @@ override TILE: u32 = 16u;
 struct TexelsParams {
     width: u32,
     height: u32,
-    // First row of tiles of this dispatch.
+    // First row of tiles of this dispatch, of those that hold the wanted rows of texels.
     first_row: u32,
+    // Wanted rows of texels: [rows_begin, rows_end).
+    rows_begin: u32,
+    rows_end: u32,
     // Candidates of each tile that this dispatch looks through: [first_candidate, first_candidate + candidates).
     first_candidate: u32,
     candidates: u32,
@@ -67,13 +70,13 @@ fn nearest(ab: vec2f, ac: vec2f, ap: vec2f, area: f32) -> vec3f {
 fn texels(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) workgroup: vec3u) {
     let x = workgroup.x * TILE + local.x;
     let tile_row = params.first_row + workgroup.y;
-    let y = tile_row * TILE + local.y;
-    if x >= params.width || y >= params.height {
+    let y = (params.rows_begin / TILE + tile_row) * TILE + local.y;
+    if x >= params.width || y < params.rows_begin || y >= params.rows_end {
         return;
     }
     let columns = (params.width + TILE - 1u) / TILE;
     let tile = tile_row * columns + workgroup.x;
-    let out = y * params.width + x;
+    let out = (y - params.rows_begin) * params.width + x;
     let size = vec2f(f32(params.width), f32(params.height));
     let centre = vec2f(f32(x), f32(y)) + 0.5;
     var best = Hit(NO_TRIANGLE, 0.0, 0.0, params.reach * params.reach);

@@ -270,7 +270,7 @@ fn empty_work_gives_empty_results() {
     assert!(backend.shade_vjp(&[], &[], &[], &[]).unwrap().is_empty());
     assert!(backend.project(&[], &scenes::cameras()[0]).unwrap().is_empty());
     assert!(backend.radiance_loss(&[], &[], &[]).unwrap().gradient.is_empty());
-    assert!(backend.texels(0, 5).unwrap().is_empty());
+    assert!(backend.texels([0, 5], 0..5).unwrap().is_empty());
 }
 
 #[test]

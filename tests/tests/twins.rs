@@ -100,8 +100,8 @@ fn texel_map() {
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
     // Not multiples of the tile, and coarse enough that charts meet within texels.
     for (width, height) in [(149, 131), (37, 20)] {
-        let hits = backend.texels(width, height).unwrap();
-        let bins = texels::TileBins::new(&scene.mesh, width, height);
+        let hits = backend.texels([width, height], 0..height).unwrap();
+        let bins = texels::TileBins::new(&scene.mesh, [width, height], 0..height);
         let corners = |t: u32| {
             scene.mesh.corner_uvs(t).map(|uv| [f64::from(uv.x) * width as f64, f64::from(uv.y) * height as f64])
         };
@@ -126,6 +126,11 @@ fn texel_map() {
         // Only where a centre lies on an edge may rounding decide otherwise.
         assert!(inside <= hits.len() / 200 && triangles <= hits.len() / 100, "{inside} and {triangles} differ");
         assert!(hits.iter().any(|h| h.t == 1.0) && hits.iter().any(|h| h.is_hit() && h.t == 0.0));
+        let cuts = [0, 5, 16, 19];
+        let pieces = cuts.iter().zip(cuts[1..].iter().chain([&height]));
+        let pieces: Vec<Hit> =
+            pieces.flat_map(|(&from, &to)| backend.texels([width, height], from..to).unwrap()).collect();
+        assert!(pieces == hits, "rows do not depend on which others are asked for");
     }
 }
 

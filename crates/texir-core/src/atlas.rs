@@ -1,7 +1,8 @@
 //! The atlas as surface points: which texels hold a piece of the mesh, and where in the world they are.
 
+use std::ops::Range;
+
 use glam::Vec2;
-use rayon::prelude::*;
 
 use crate::backend::Backend;
 use crate::error::{Error, Result};
@@ -14,6 +15,9 @@ use crate::texture::{Pyramid, Tap};
 /// How far a texel that its triangle only touches moves from the triangle's edge towards its middle: on the edge itself,
 /// where rounding decides on which side of the neighbouring surface a ray starts, half of its rays would leave the room.
 const OFF_EDGE: f32 = 1e-3;
+
+/// Texels that are mapped at a time.
+const BAND: usize = 1 << 19;
 
 /// The texel map of a mesh: the valid texels of a `width × height` atlas and their surface points, in atlas order.
 #[derive(Clone, Debug)]
@@ -33,26 +37,13 @@ pub struct Atlas {
 impl Atlas {
     /// Maps every texel to the mesh. Errors when no texel is covered.
     pub fn new(backend: &mut dyn Backend, scene: &Scene, width: usize, height: usize) -> Result<Self> {
-        if width == 0 || height == 0 {
-            return Err(Error::invalid(format!("the atlas is {width}×{height} texels; expected at least 1×1")));
-        }
-        let hits = backend.texels(width, height)?;
-        let covered = || hits.iter().enumerate().filter(|(_, h)| h.is_hit());
-        let point =
-            |(i, hit)| SurfacePoint { sequence: i as u32, ..SurfacePoint::new(&scene.mesh, &off_edge(hit), None) };
-        let atlas = Self {
-            width,
-            height,
-            texels: covered().map(|(i, _)| i as u32).collect(),
-            points: covered().map(point).collect(),
-            inside: covered().map(|(_, h): (_, &Hit)| h.t > 0.0).collect(),
-        };
-        if atlas.texels.is_empty() {
-            return Err(Error::invalid(format!(
-                "no texel of the {width}×{height} atlas is covered by the mesh: its texture coordinates are missing, \
-                 degenerate, or outside [0, 1]"
-            )));
-        }
+        let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };
+        map(backend, scene, [width, height], |_, points, inside| {
+            atlas.texels.extend(points.iter().map(|point| point.sequence));
+            atlas.points.extend(points);
+            atlas.inside.extend(inside);
+            Ok(())
+        })?;
         Ok(atlas)
     }
 
@@ -70,18 +61,14 @@ impl Atlas {
 
     /// Area on the surface, m², of a texel on `triangle`; 0 for a triangle without area in the atlas.
     pub fn texel_area(&self, mesh: &Mesh, triangle: u32) -> f32 {
-        let [a, b, c] = mesh.corners(triangle);
-        let [ua, ub, uc] = mesh.corner_uvs(triangle);
-        let world = (b - a).cross(c - a).length();
-        let texels = (ub - ua).perp_dot(uc - ua).abs() * (self.width * self.height) as f32;
-        if texels > 0.0 { world / texels } else { 0.0 }
+        texel_area(mesh, [self.width, self.height], triangle)
     }
 
     /// Edge of the median texel on the surface, metres.
     pub fn typical_texel(&self, mesh: &Mesh) -> f32 {
-        let mut areas: Vec<f32> = self.points.par_iter().map(|p| self.texel_area(mesh, p.triangle)).collect();
-        let middle = areas.len() / 2;
-        areas.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
+        let mut typical = TypicalTexel::new(mesh, [self.width, self.height]);
+        typical.count(&self.points);
+        typical.edge()
     }
 
     /// Puts one value per valid texel into the atlas, `empty` elsewhere.
@@ -100,27 +87,115 @@ impl Atlas {
             raster.data[texel as usize] = value;
             filled[texel as usize] = true;
         }
-        for _ in 0..rings {
-            let before = filled.clone();
-            for y in 0..self.height {
-                for x in 0..self.width {
-                    if before[y * self.width + x] {
-                        continue;
-                    }
-                    let neighbours = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (2, 0), (0, 2), (2, 2)]
-                        .into_iter()
-                        .filter_map(|(dx, dy)| {
-                            let (nx, ny) = ((x + dx).checked_sub(1)?, (y + dy).checked_sub(1)?);
-                            (nx < self.width && ny < self.height).then_some(ny * self.width + nx)
-                        });
-                    if let Some(from) = neighbours.into_iter().find(|&n| before[n]) {
-                        raster.data[y * self.width + x] = raster.data[from];
-                        filled[y * self.width + x] = true;
-                    }
+        pad(&mut raster, &mut filled, rings);
+        raster
+    }
+}
+
+/// Maps a band of an atlas's rows after another: hands on the rows, the points of their valid texels, in atlas order, and which
+/// of these have their centre in a triangle. Errors when no texel is covered.
+pub(crate) fn map(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    [width, height]: [usize; 2],
+    mut take: impl FnMut(Range<usize>, Vec<SurfacePoint>, Vec<bool>) -> Result<()>,
+) -> Result<()> {
+    if width == 0 || height == 0 {
+        return Err(Error::invalid(format!("the atlas is {width}×{height} texels; expected at least 1×1")));
+    }
+    let mut any = false;
+    for rows in bands(width, height, BAND) {
+        let hits = backend.texels([width, height], rows.clone())?;
+        let first = rows.start * width;
+        let covered = || hits.iter().zip(first..).filter(|(hit, _)| hit.is_hit());
+        let point = |(hit, i): (&Hit, usize)| SurfacePoint {
+            sequence: i as u32,
+            ..SurfacePoint::new(&scene.mesh, &off_edge(hit), None)
+        };
+        any |= covered().next().is_some();
+        take(rows, covered().map(point).collect(), covered().map(|(hit, _)| hit.t > 0.0).collect())?;
+    }
+    if any {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "no texel of the {width}×{height} atlas is covered by the mesh: its texture coordinates are missing, degenerate, or \
+         outside [0, 1]"
+    )))
+}
+
+/// Rows of a map, in bands of about `texels` texels.
+pub(crate) fn bands(width: usize, height: usize, texels: usize) -> impl Iterator<Item = Range<usize>> {
+    let rows = (texels / width.max(1)).max(1);
+    (0..height).step_by(rows).map(move |row| row..(row + rows).min(height))
+}
+
+/// Area on the surface, m², of a texel on `triangle` in an atlas of some size; 0 for a triangle without area in it.
+fn texel_area(mesh: &Mesh, [width, height]: [usize; 2], triangle: u32) -> f32 {
+    let [a, b, c] = mesh.corners(triangle);
+    let [ua, ub, uc] = mesh.corner_uvs(triangle);
+    let world = (b - a).cross(c - a).length();
+    let texels = (ub - ua).perp_dot(uc - ua).abs() * (width * height) as f32;
+    if texels > 0.0 { world / texels } else { 0.0 }
+}
+
+/// Finds the median texel: all texels of a triangle have the same size.
+pub(crate) struct TypicalTexel<'a> {
+    mesh: &'a Mesh,
+    size: [usize; 2],
+    /// Texels by triangle.
+    counts: Vec<u32>,
+}
+
+impl<'a> TypicalTexel<'a> {
+    /// For an atlas of `size`.
+    pub fn new(mesh: &'a Mesh, size: [usize; 2]) -> Self {
+        Self { mesh, size, counts: vec![0; mesh.triangles.len()] }
+    }
+
+    /// Takes note of some texels.
+    pub fn count(&mut self, points: &[SurfacePoint]) {
+        points.iter().for_each(|point| self.counts[point.triangle as usize] += 1);
+    }
+
+    /// Edge of the median texel on the surface, metres; 0 without texels.
+    pub fn edge(&self) -> f32 {
+        let used = (0..self.counts.len()).filter(|&t| self.counts[t] > 0);
+        let mut areas: Vec<(f32, u32)> =
+            used.map(|t| (texel_area(self.mesh, self.size, t as u32), self.counts[t])).collect();
+        areas.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let mut left = areas.iter().map(|(_, count)| *count as usize).sum::<usize>() / 2;
+        let median = areas.iter().find(|(_, count)| {
+            let here = left < *count as usize;
+            left = left.saturating_sub(*count as usize);
+            here
+        });
+        median.map_or(0.0, |(area, _)| area.sqrt())
+    }
+}
+
+/// `rings` times, the empty texels next to filled ones take their first filled neighbour's value.
+pub(crate) fn pad<T: Copy>(raster: &mut Raster<T>, filled: &mut [bool], rings: usize) {
+    let (width, height) = (raster.width, raster.height);
+    for _ in 0..rings {
+        let before = filled.to_vec();
+        for y in 0..height {
+            for x in 0..width {
+                if before[y * width + x] {
+                    continue;
+                }
+                let neighbours = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (2, 0), (0, 2), (2, 2)]
+                    .into_iter()
+                    .filter_map(|(dx, dy)| {
+                        let (nx, ny) = ((x + dx).checked_sub(1)?, (y + dy).checked_sub(1)?);
+                        (nx < width && ny < height).then_some(ny * width + nx)
+                    });
+                if let Some(from) = neighbours.into_iter().find(|&n| before[n]) {
+                    raster.data[y * width + x] = raster.data[from];
+                    filled[y * width + x] = true;
                 }
             }
         }
-        raster
     }
 }
 

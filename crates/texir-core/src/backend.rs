@@ -4,6 +4,8 @@
 //! slices, so that an algorithm reads as its equations. Two implementations: [`crate::cpu::CpuBackend`] and the WGSL one in
 //! `texir-gpu`.
 
+use std::ops::Range;
+
 use bytemuck::{Pod, Zeroable};
 
 use crate::camera::Camera;
@@ -236,10 +238,10 @@ pub trait Backend {
     /// Primary visibility: the closest hit through every pixel centre, `camera.pixels()` items. `t` is in metres.
     fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>>;
 
-    /// Texel map: which surface point each texel of a `width × height` atlas is. A texel whose centre lies in a triangle
-    /// takes that point (the lowest triangle index where charts overlap); a texel that a triangle only touches takes the
-    /// nearest point of the nearest such triangle (conservative at chart borders).
-    fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>>;
+    /// Texel map: which surface point each texel in some `rows` of an atlas of `[width, height]` texels is, row by row. A texel
+    /// whose centre lies in a triangle takes that point (the lowest triangle index where charts overlap); a texel that a
+    /// triangle only touches takes the nearest point of the nearest such triangle (conservative at chart borders).
+    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>>;
 
     /// Irradiance gather at every point: cosine-distributed samples and samples of lights and bright sky, combined by the
     /// balance heuristic; unbiased for any split. The backs of lights are black. Advances `progress` by the rays traced.

@@ -19,6 +19,8 @@ use crate::surface::SurfacePoint;
 const RADIUS: f32 = 5.0;
 /// Radius within which noise is measured and the guide smoothed, texels.
 const GUIDE_RADIUS: f32 = 1.6;
+/// How far away a point may be that has a say in what becomes of another, texels.
+pub(crate) const REACH: f32 = RADIUS + GUIDE_RADIUS;
 /// A neighbour's weight falls to a quarter where its difference beyond noise is this many times the noise.
 const TOLERANCE: f32 = 2.0;
 /// How far a texel may move, standard errors.
@@ -44,11 +46,23 @@ struct Guide {
 /// The mean of both halves without most of its noise. `apart` are points that are not to be mixed with the others (inside
 /// other geometry); `texel` is the edge of a typical texel, metres.
 pub fn denoise(points: &[SurfacePoint], halves: &Halves, apart: &[bool], texel: f32) -> Vec<[f32; 3]> {
+    denoise_some(points, halves, apart, texel, |_| true)
+}
+
+/// [`denoise`] of those points, by index, that are `wanted`; what is further than [`REACH`] from all of them does not matter.
+pub(crate) fn denoise_some(
+    points: &[SurfacePoint],
+    halves: &Halves,
+    apart: &[bool],
+    texel: f32,
+    wanted: impl Fn(usize) -> bool + Sync,
+) -> Vec<[f32; 3]> {
     let guides = guides(points, halves, apart, GUIDE_RADIUS * texel);
     let radius = RADIUS * texel;
     let neighbours = Neighbours::new(points, radius);
     (0..points.len())
         .into_par_iter()
+        .filter(|&i| wanted(i))
         .map(|i| {
             let (tangent, bitangent) = tangents(&points[i]);
             let mut fits = [Fit::EMPTY; 2];

@@ -64,6 +64,7 @@ impl Neighbours {
     }
 }
 
-fn cell_of(position: Vec3, edge: f32) -> IVec3 {
+/// The cell of a grid of some `edge` (metres) that a place lies in.
+pub(crate) fn cell_of(position: Vec3, edge: f32) -> IVec3 {
     (position / edge).floor().as_ivec3()
 }

@@ -1,5 +1,7 @@
 //! [`Backend`] on a wgpu device.
 
+use std::ops::Range;
+
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
     Sampling, ShadePoint, Shaded,
@@ -103,13 +105,13 @@ impl Backend for GpuBackend<'_> {
         gpu.guarded("primary", || primary::run(&mut self.context, &self.geometry, camera))
     }
 
-    fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>> {
-        if width == 0 || height == 0 {
+    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
+        if size[0] == 0 || rows.is_empty() {
             return Ok(Vec::new());
         }
-        countable(width * height)?;
+        countable(size[0] * size[1])?;
         let gpu = self.context.gpu.clone();
-        gpu.guarded("texels", || texels::run(&mut self.context, &self.scene.mesh, width, height))
+        gpu.guarded("texels", || texels::run(&mut self.context, &self.scene.mesh, size, rows))
     }
 
     fn irradiance(

@@ -4,14 +4,15 @@ mod authored;
 
 use std::path::PathBuf;
 
+use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::backend::Gather;
-use texir_core::bake::{self, Baked, Buried, Quality};
+use texir_core::bake::{self, Buried, Quality, Solution, Texels, Workspace};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
-use texir_core::image_io::write_gray;
+use texir_core::image_io::{Rows, write_gray};
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
@@ -56,6 +57,10 @@ pub struct Bake {
     /// not darken what is seen beside them
     #[arg(long)]
     fill_buried: bool,
+    /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the output, to
+    /// the same bits. Not for authored scenes [default: all that the map needs]
+    #[arg(long, value_name = "SIZE")]
+    max_memory: Option<ByteSize>,
     /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]
     #[arg(long, value_enum)]
     profile: Option<Engine>,
@@ -99,6 +104,10 @@ impl Bake {
         let quality = self.quality(session)?;
         lightmap::check_extension(&self.output)?;
         if self.is_authored() {
+            if self.max_memory.is_some() {
+                return Err(Failure::new("--max-memory is not for authored scenes, whose bounces are kept in memory")
+                    .help("leave it out, or lower --size"));
+            }
             return authored::run(self, session);
         }
         let (scene, given) = self.load(session)?;
@@ -110,25 +119,28 @@ impl Bake {
                 tbl::build(backend.as_mut(), &scene, &capture, size, session)?.radiance
             }
         };
-        let (width, height) = self.size.map_or(radiance.size(), |side| (side, side));
-        let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
+        let size @ [width, height] = self.size.map_or([radiance.width, radiance.height], |side| [side, side]);
+        let workspace = match self.max_memory {
+            Some(limit) => bake::keep_within(limit, &self.partial(), &scene.mesh, radiance.data.len(), size)?,
+            None => Workspace::Memory,
+        };
         let shining = Atlas::new(backend.as_mut(), &scene, radiance.width, radiance.height)?;
         let lights = Lights::find(&scene, &shining, &radiance);
+        drop(shining);
         backend.set_tbl(&radiance, &lights)?;
-        let settings = (backend.name(), width, height, quality);
-        let identity = bake::identity(&scene.mesh, &radiance, settings);
+        let identity = bake::identity(&scene.mesh, &radiance, (backend.name(), width, height, quality));
+        drop(radiance);
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
-        let baked = bake::bake(backend.as_mut(), &scene.mesh, &atlas, &quality, &checkpoints, session.console)?;
-        lightmap::write_lightmap(&self.output, &self.profile().lightmap(&baked.map(&atlas, self.buried())))?;
-        self.write_standard_error(&baked, &atlas)?;
+        let texels = Texels::map(backend.as_mut(), &scene, size, workspace, session.console)?;
+        let solution = bake::solve(backend.as_mut(), &scene.mesh, &texels, &quality, &checkpoints, session.console)?;
+        self.write(&solution, &texels, session)?;
+        let (buried, valid, rays) = (solution.buried()?, texels.valid(), solution.rays);
+        drop((solution, texels));
         checkpoints.finish();
-        let texels = atlas.texels.len();
-        let rays = baked.rays;
-        let buried = baked.buried.iter().filter(|inside| **inside).count();
-        let summary = Summary { output: self.output.clone(), width, height, texels, buried, rays };
+        let summary = Summary { output: self.output.clone(), width, height, texels: valid, buried, rays };
         session.print(&summary, || {
-            let mean = rays as f64 / texels as f64;
-            format!("{}: {width} × {height}, {texels} texels, {mean:.0} rays each", summary.output.display())
+            let mean = rays as f64 / valid as f64;
+            format!("{}: {width} × {height}, {valid} texels, {mean:.0} rays each", summary.output.display())
         })
     }
 
@@ -148,12 +160,31 @@ impl Bake {
         Ok(Quality { gather, error, denoise: !self.no_denoise && halves })
     }
 
-    /// Writes what `--stderr` asks for: in the unit of the map.
-    fn write_standard_error(&self, baked: &Baked, atlas: &Atlas) -> Result<(), Failure> {
-        let Some(errors) = baked.standard_error.as_ref().filter(|_| self.stderr) else { return Ok(()) };
-        let scaled: Vec<f32> = errors.iter().map(|e| e * self.profile().scale()).collect();
-        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
-        write_gray(self.output.with_file_name(format!("{stem}_stderr.exr")), &atlas.scatter(&scaled, 0.0))?;
+    /// Writes the map, and what `--stderr` asks for, some rows at a time.
+    fn write(&self, solution: &Solution, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
+        let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
+        console.start("map", (size[0] * size[1]) as u64, "texels");
+        let map = Rows::new(size, |rows| {
+            console.check()?;
+            console.advance((rows.len() * size[0]) as u64);
+            let irradiance = solution.map_rows(texels, self.buried(), rows)?;
+            Ok(irradiance.into_iter().map(|e| e.map(|v| v * scale)).collect())
+        });
+        let written = lightmap::write_lightmap(&self.output, map);
+        console.check()?;
+        written?;
+        console.finish();
+        self.write_standard_error(Rows::new(size, |rows| {
+            Ok(solution.error_rows(texels, rows)?.into_iter().map(|e| [e * scale]).collect())
+        }))
+    }
+
+    /// Writes what `--stderr` asks for, in the unit of the map.
+    fn write_standard_error(&self, errors: Rows<'_, 1>) -> Result<(), Failure> {
+        if self.stderr {
+            let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+            write_gray(self.output.with_file_name(format!("{stem}_stderr.exr")), errors)?;
+        }
         Ok(())
     }
 

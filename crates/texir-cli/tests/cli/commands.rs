@@ -396,3 +396,33 @@ fn the_seed_decides_the_result() {
     assert!(first == albedo("again", "7"), "the same seed gives the same bytes");
     assert!(first != albedo("other", "8"), "another seed gives other samples");
 }
+
+#[test]
+fn a_bake_within_a_budget_has_the_bits_of_one_without() {
+    let capture = Capture::new();
+    let (input, texture, mesh) = (capture.path(), capture.out("light.exr"), capture.file("mesh.obj"));
+    succeed(&["tbl".as_ref(), input.as_os_str(), "-o".as_ref(), texture.as_os_str(), "--size".as_ref(), "64".as_ref()]);
+    let bake = |output: &Path, more: &[&str]| {
+        let from = ["bake".as_ref(), mesh.as_os_str(), "--tbl".as_ref(), texture.as_os_str()];
+        // More texels than the budget allows at a time.
+        let how = ["--size", "768", "--spp", "4", "--stderr", "--fill-buried", "--backend", "cpu", "-o"];
+        let more: Vec<_> = more.iter().map(AsRef::as_ref).collect();
+        run(&[&from[..], &how.map(AsRef::as_ref), &[output.as_os_str()], &more].concat())
+    };
+    for name in ["map.exr", "map.hdr", "map.ktx2"] {
+        let [whole, parts] = ["whole", "parts"].map(|folder| capture.out(folder).join(name));
+        assert_eq!(bake(&whole, &[]).code, Some(0));
+        let said = bake(&parts, &["--max-memory", "100MiB"]);
+        assert_eq!(said.code, Some(0), "{said:#?}");
+        assert!(std::fs::read(&whole).unwrap() == std::fs::read(&parts).unwrap(), "{name} differs");
+        let errors = [whole, parts].map(|map| std::fs::read(map.with_file_name("map_stderr.exr")).unwrap());
+        assert!(errors[0] == errors[1], "errors of {name} differ");
+    }
+    let left = std::fs::read_dir(capture.out("parts")).unwrap().map(|entry| entry.unwrap().file_name());
+    assert!(left.into_iter().all(|name| !name.to_string_lossy().contains("partial")), "scratch files are gone");
+
+    let refused = bake(&capture.out("small.exr"), &["--max-memory", "20MiB"]);
+    assert_eq!(refused.code, Some(1), "{refused:#?}");
+    refused.complains(&["max_memory is 20.0 MiB", "needs about", "raise it"]);
+    assert!(!capture.out("small.exr").exists() && !capture.out("small.exr.partial").exists());
+}

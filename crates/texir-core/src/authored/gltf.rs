@@ -122,7 +122,8 @@ impl Model {
         environment: Option<Environment>,
     ) -> Result<Surfaces> {
         let columns = LOOKUPS * atlas.width;
-        let hits = backend.texels(columns, LOOKUPS * atlas.height)?;
+        let rows = LOOKUPS * atlas.height;
+        let hits = backend.texels([columns, rows], 0..rows)?;
         let materials = self.materials();
         let texel = |&texel: &u32| {
             let (x, y) = (texel as usize % atlas.width, texel as usize / atlas.width);

@@ -4,10 +4,16 @@
 //! texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often than not (Kirk
 //! and Arvo, "Unbiased Sampling Techniques for Image Synthesis", SIGGRAPH 1991).
 
+use std::borrow::Cow;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{TILE_RAYS, in_tiles, rays_of};
+use super::solution::is_seen;
+use super::store::{Items, Store};
+use super::surface::Surface;
+use super::texels::{PIECE, Texels};
+use super::tiles::{Tiles, rays_of};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
@@ -21,7 +27,7 @@ use crate::surface::SurfacePoint;
 /// what the error is.
 const FIRST: u32 = 16;
 /// How far the neighbours reach that tell a texel's error, texels: about twenty of them.
-const RADIUS: f32 = 2.5;
+pub(super) const RADIUS: f32 = 2.5;
 /// Errors are relative to the irradiance, but not to less than this share of the mean over all texels: in deep shadow nobody
 /// sees a large share of nearly nothing.
 const DARK: f32 = 0.05;
@@ -29,18 +35,18 @@ const DARK: f32 = 0.05;
 /// What was gathered.
 pub(super) struct Estimate {
     /// The means of two halves of every point's samples.
-    pub halves: [Vec<Gathered>; 2],
+    pub halves: [Store<'static, Gathered>; 2],
     /// Rays of every point, both halves together.
-    rays: Vec<u32>,
+    rays: Store<'static, u32>,
+    /// What counts as dark: see [`DARK`]. Never 0, so that a point in the dark has no error rather than none that is defined.
+    floor: f32,
 }
 
 impl Estimate {
-    /// Gathers at points with `gather.cosine + gather.light` rays each, or fewer where the relative error is below `error` before.
-    /// `texel` is the edge of a typical texel, metres.
+    /// Gathers at texels with `gather.cosine + gather.light` rays each, or fewer where the relative error is below `error` before.
     pub fn sample(
         backend: &mut dyn Backend,
-        points: &[SurfacePoint],
-        texel: f32,
+        surface: &Surface<'_>,
         gather: Gather,
         error: Option<f32>,
         checkpoints: &Checkpoints,
@@ -52,76 +58,154 @@ impl Estimate {
             ));
         }
         let target = error.filter(|error| *error > 0.0);
-        let nothing = Gathered { irradiance: [0.0; 3], back_faces: 0.0 };
-        let mut estimate = Self { halves: [(); 2].map(|()| vec![nothing; points.len()]), rays: vec![0; points.len()] };
-        let neighbours = target.map(|_| Neighbours::new(points, RADIUS * texel));
-        let rounds = rounds(gather, target.is_some());
-        let mut active: Vec<u32> = (0..points.len() as u32).collect();
-        for (number, &round) in rounds.iter().enumerate() {
-            if let (Some(neighbours), Some(target), true) = (&neighbours, target, number > 0) {
-                let floor = estimate.floor();
-                let error = |i: u32| estimate.relative_error(i as usize, points, neighbours, floor);
-                active = active.into_par_iter().filter(|&i| error(i).is_none_or(|error| error > target)).collect();
+        let texels = surface.texels;
+        let mut estimate =
+            Self { halves: [texels.zeroed()?, texels.zeroed()?], rays: texels.zeroed()?, floor: f32::MIN_POSITIVE };
+        let mut active = None;
+        for (number, &round) in rounds(gather, target.is_some()).iter().enumerate() {
+            if let (Some(target), true) = (target, number > 0) {
+                active = Some(estimate.above(target, surface, progress)?);
             }
-            progress.start("irradiance", active.len() as u64 * 2 * rays_of(round), "rays");
-            let open: Vec<SurfacePoint> = active.iter().map(|&i| points[i as usize]).collect();
+            let tiles = Tiles::new(&texels.points, active.as_ref(), round);
+            progress.start("irradiance", tiles.points() as u64 * 2 * rays_of(round), "rays");
             for (half, seed) in [gather.seed, hash(gather.seed)].into_iter().enumerate() {
                 let kept = checkpoints.within(&format!("round-{number}-half-{half}"));
-                let found = in_tiles(backend, &open, Gather { seed, ..round }, TILE_RAYS, &kept, progress)?;
                 let all = &mut estimate.halves[half];
-                active
-                    .iter()
-                    .zip(&found)
-                    .for_each(|(&i, found)| all[i as usize] = joined(&all[i as usize], found, round.part));
+                tiles.gather(seed, backend, &kept, progress, |items, found| {
+                    let before = all.get(items)?;
+                    let joined: Vec<Gathered> =
+                        before.iter().zip(found).map(|(before, found)| joined(before, found, round.part)).collect();
+                    all.set(items, &joined)
+                })?;
             }
             progress.finish();
-            active.iter().for_each(|&i| estimate.rays[i as usize] += 2 * rays_of(round) as u32);
+            for items in tiles.items() {
+                let items = items?;
+                let rays: Vec<u32> =
+                    estimate.rays.get(&items)?.iter().map(|rays| rays + 2 * rays_of(round) as u32).collect();
+                estimate.rays.set(&items, &rays)?;
+            }
+            estimate.floor = estimate.dark()?;
         }
         Ok(estimate)
     }
 
-    /// E of a point: the mean of both halves.
-    pub fn mean(&self, i: usize) -> Vec3 {
-        (Vec3::from(self.halves[0][i].irradiance) + Vec3::from(self.halves[1][i].irradiance)) / 2.0
+    /// E of every point, the mean of both halves, and 0 for points inside other geometry, else 1.
+    pub fn means(&self, texels: &Texels<'_>) -> Result<(Store<'static, [f32; 3]>, Store<'static, u8>)> {
+        let (mut means, mut seen) = (texels.zeroed()?, texels.zeroed()?);
+        for items in self.pieces() {
+            let known = self.known(&items)?;
+            let [a, b] = &known.halves;
+            means.set(&items, &(0..items.len()).map(|i| known.mean(i).to_array()).collect::<Vec<_>>())?;
+            let back_faces = a.iter().zip(b.iter()).map(|(a, b)| (a.back_faces + b.back_faces) / 2.0);
+            seen.set(&items, &back_faces.map(is_seen).collect::<Vec<_>>())?;
+        }
+        Ok((means, seen))
     }
 
     /// Rays of all points.
-    pub fn rays(&self) -> u64 {
-        self.rays.iter().map(|&n| u64::from(n)).sum()
+    pub fn rays(&self) -> Result<u64> {
+        self.rays.pieces(PIECE).map(|rays| Ok(rays?.iter().map(|&n| u64::from(n)).sum::<u64>())).sum()
     }
 
     /// Standard error of the luminance of every point's mean.
-    pub fn standard_errors(&self, points: &[SurfacePoint], texel: f32) -> Vec<f32> {
-        let (neighbours, floor) = (Neighbours::new(points, RADIUS * texel), self.floor());
-        let relative = |i| self.relative_error(i, points, &neighbours, floor).unwrap_or(self.difference(i, floor));
-        (0..points.len()).into_par_iter().map(|i| relative(i) * self.luminance(i).max(floor)).collect()
+    pub fn standard_errors(&self, surface: &Surface<'_>, progress: &dyn Progress) -> Result<Store<'static, f32>> {
+        let mut errors = surface.texels.zeroed()?;
+        surface.each("errors", progress, |_, block, points| {
+            let known = self.known(&block.items)?;
+            let neighbours = Neighbours::new(points, RADIUS * surface.texel);
+            let own = |i: usize| block.owns(&points[i]);
+            let error = |i| known.relative_error(i, points, &neighbours).unwrap_or(known.difference(i));
+            let found: Vec<f32> = (0..points.len())
+                .into_par_iter()
+                .filter(|&i| own(i))
+                .map(|i| error(i) * known.luminance(i).max(known.floor))
+                .collect();
+            errors.set(&block.items.filter(own), &found)
+        })?;
+        Ok(errors)
+    }
+
+    /// The points, in atlas order, that took part in the last round and whose relative error is above `target` even so.
+    fn above(&self, target: f32, surface: &Surface<'_>, progress: &dyn Progress) -> Result<Store<'static, u32>> {
+        let most = self.rays.pieces(PIECE).try_fold(0, |most, rays| Ok(rays?.iter().fold(most, |a, b| a.max(*b))))?;
+        let mut above = surface.texels.zeroed::<u8>()?;
+        surface.each("errors", progress, |_, block, points| {
+            let known = self.known(&block.items)?;
+            let neighbours = Neighbours::new(points, RADIUS * surface.texel);
+            let open = |i: usize| {
+                let error = || known.relative_error(i, points, &neighbours);
+                known.rays[i] == most && error().is_none_or(|error| error > target)
+            };
+            let own = |i: usize| block.owns(&points[i]);
+            let found: Vec<u8> =
+                (0..points.len()).into_par_iter().filter(|&i| own(i)).map(|i| u8::from(open(i))).collect();
+            above.set(&block.items.filter(own), &found)
+        })?;
+        let mut list = surface.texels.workspace.empty()?;
+        for items in self.pieces() {
+            let Items::Range(range) = &items else { continue };
+            let above = above.get(&items)?;
+            let open = range.clone().zip(above.iter()).filter(|(_, above)| **above != 0);
+            list.extend(&open.map(|(i, _)| i as u32).collect::<Vec<_>>())?;
+        }
+        Ok(list)
+    }
+
+    /// See `floor`.
+    fn dark(&self) -> Result<f32> {
+        let mut sum = 0.0;
+        for items in self.pieces() {
+            let known = self.known(&items)?;
+            (0..items.len()).for_each(|i| sum += f64::from(known.luminance(i)));
+        }
+        Ok((DARK * (sum / self.rays.len().max(1) as f64) as f32).max(f32::MIN_POSITIVE))
+    }
+
+    /// All points, some at a time.
+    fn pieces(&self) -> impl Iterator<Item = Items> + use<> {
+        let len = self.rays.len();
+        (0..len).step_by(PIECE).map(move |start| Items::Range(start..(start + PIECE).min(len)))
+    }
+
+    fn known(&self, items: &Items) -> Result<Known<'_>> {
+        let [a, b] = &self.halves;
+        Ok(Known { halves: [a.get(items)?, b.get(items)?], rays: self.rays.get(items)?, floor: self.floor })
+    }
+}
+
+/// What was gathered at some points; functions take their places among these.
+struct Known<'a> {
+    halves: [Cow<'a, [Gathered]>; 2],
+    rays: Cow<'a, [u32]>,
+    floor: f32,
+}
+
+impl Known<'_> {
+    /// E of a point: the mean of both halves.
+    fn mean(&self, i: usize) -> Vec3 {
+        (Vec3::from(self.halves[0][i].irradiance) + Vec3::from(self.halves[1][i].irradiance)) / 2.0
     }
 
     /// Standard error of a point's luminance as a share of it, from its neighbours alone; `None` where there are none.
     /// The variance is taken to fall with the number of rays.
-    fn relative_error(&self, i: usize, points: &[SurfacePoint], neighbours: &Neighbours, floor: f32) -> Option<f32> {
+    fn relative_error(&self, i: usize, points: &[SurfacePoint], neighbours: &Neighbours) -> Option<f32> {
         let (mut sum, mut count) = (0.0, 0.0);
         for (j, _) in neighbours.of(&points[i]).filter(|&(j, _)| j != i) {
-            sum += self.difference(j, floor).powi(2) * self.rays[j] as f32;
+            sum += self.difference(j).powi(2) * self.rays[j] as f32;
             count += 1.0;
         }
         (count > 0.0).then(|| f32::sqrt(sum / (count * self.rays[i] as f32)))
     }
 
     /// Half of the difference of both halves as a share of their mean: the standard error, if only on average.
-    fn difference(&self, i: usize, floor: f32) -> f32 {
+    fn difference(&self, i: usize) -> f32 {
         let [a, b] = [0, 1].map(|half| luminance(&self.halves[half][i].irradiance));
-        (a - b).abs() / (2.0 * self.luminance(i).max(floor))
+        (a - b).abs() / (2.0 * self.luminance(i).max(self.floor))
     }
 
     fn luminance(&self, i: usize) -> f32 {
         luminance(&self.mean(i).to_array())
-    }
-
-    /// What counts as dark: see [`DARK`]. Never 0, so that a point in the dark has no error rather than none that is defined.
-    fn floor(&self) -> f32 {
-        let sum: f64 = (0..self.rays.len()).map(|i| f64::from(self.luminance(i))).sum();
-        (DARK * (sum / self.rays.len().max(1) as f64) as f32).max(f32::MIN_POSITIVE)
     }
 }
 

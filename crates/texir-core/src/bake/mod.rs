@@ -1,30 +1,35 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
+//!
+//! What is known of every texel lies in arrays, in memory or in files ([`Workspace`]): gathers go through them tile by tile,
+//! what looks at neighbours block of space by block of space, the map row by row. None of it changes a bit of the result.
 
+mod blocks;
 mod estimate;
+mod memory;
+mod solution;
+mod store;
+mod surface;
+mod texels;
+mod tiles;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use bytemuck::cast_slice;
 
+pub use self::memory::keep_within;
+pub use self::solution::{Solution, solve};
+pub use self::store::Workspace;
+pub use self::texels::Texels;
 use crate::atlas::Atlas;
-use crate::backend::{Backend, Gather, Gathered};
+use crate::backend::{Backend, Gather};
 use crate::checkpoint::Checkpoints;
-use crate::denoise::denoise;
 use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
-use crate::surface::SurfacePoint;
-use estimate::Estimate;
 
 /// Rings of padding around the charts of a baked map.
 pub const PADDING: usize = 4;
-
-/// Rays of a tile, after which it is kept: some seconds' work on a processor.
-const TILE_RAYS: usize = 1 << 23;
-
-/// A texel lies inside an object when this share of its rays meets the backs of triangles.
-const BURIED: f32 = 0.5;
 
 /// Irradiance per valid texel of an atlas, with what is known about it.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,22 +90,7 @@ pub fn bake(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    if quality.error.is_none() && !quality.denoise {
-        return irradiance(backend, atlas, quality.gather, checkpoints, progress);
-    }
-    let texel = atlas.typical_texel(mesh);
-    let points = &atlas.points;
-    let estimate = Estimate::sample(backend, points, texel, quality.gather, quality.error, checkpoints, progress)?;
-    let [a, b] = &estimate.halves;
-    let buried: Vec<bool> = a.iter().zip(b).map(|(a, b)| (a.back_faces + b.back_faces) / 2.0 >= BURIED).collect();
-    let irradiance = if quality.denoise {
-        let halves = [a, b].map(|half| half.iter().map(|g| g.irradiance).collect());
-        denoise(points, &halves, &buried, texel)
-    } else {
-        (0..points.len()).map(|i| estimate.mean(i).to_array()).collect()
-    };
-    let standard_error = quality.error.map(|_| estimate.standard_errors(points, texel));
-    Ok(Baked { irradiance, buried, standard_error, rays: estimate.rays() })
+    solve(backend, mesh, &Texels::of(atlas), quality, checkpoints, progress)?.into_baked()
 }
 
 /// [`bake`] of a fixed number of rays, as they come: unbiased.
@@ -111,16 +101,7 @@ pub fn irradiance(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    let rays = atlas.points.len() as u64 * rays_of(gather);
-    progress.start("irradiance", rays, "rays");
-    let gathered = in_tiles(backend, &atlas.points, gather, TILE_RAYS, checkpoints, progress)?;
-    progress.finish();
-    Ok(Baked {
-        irradiance: gathered.iter().map(|g| g.irradiance).collect(),
-        buried: gathered.iter().map(|g| g.back_faces >= BURIED).collect(),
-        standard_error: None,
-        rays,
-    })
+    solution::as_gathered(backend, &Texels::of(atlas), gather, checkpoints, progress)?.into_baked()
 }
 
 /// [`bake`] of a fixed number of rays, with most of the noise removed.
@@ -142,36 +123,6 @@ pub fn identity(mesh: &Mesh, radiance: &Rgb, settings: impl Hash) -> String {
     let (uvs, texels): (&[u8], &[u8]) = (cast_slice(&mesh.uvs), cast_slice(&radiance.data));
     (vectors, uvs, &mesh.triangles, radiance.size(), texels, settings).hash(&mut hasher);
     format!("texir {}\nbake {:016x}\n", env!("CARGO_PKG_VERSION"), hasher.finish())
-}
-
-/// Gathers at points, a tile of about `tile_rays` rays after another; how points are cut changes nothing, as a point's
-/// samples depend on it alone.
-fn in_tiles(
-    backend: &mut dyn Backend,
-    points: &[SurfacePoint],
-    gather: Gather,
-    tile_rays: usize,
-    checkpoints: &Checkpoints,
-    progress: &dyn Progress,
-) -> Result<Vec<Gathered>> {
-    let rays = rays_of(gather) as usize;
-    let mut all = Vec::with_capacity(points.len());
-    for (number, tile) in points.chunks((tile_rays / rays.max(1)).max(1)).enumerate() {
-        let mut known = true;
-        all.extend(checkpoints.array(&format!("tile-{number}"), || {
-            known = false;
-            backend.irradiance(tile, gather, progress)
-        })?);
-        if known {
-            progress.advance((tile.len() * rays) as u64);
-        }
-    }
-    Ok(all)
-}
-
-/// Rays of one point.
-fn rays_of(gather: Gather) -> u64 {
-    u64::from(gather.cosine) + u64::from(gather.light)
 }
 
 #[cfg(test)]

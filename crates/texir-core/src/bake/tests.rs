@@ -2,10 +2,15 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use bytesize::ByteSize;
 use glam::{Vec2, Vec3};
 
+use super::surface::Surface;
+use super::tiles::Tiles;
 use super::*;
+use crate::backend::Gathered;
 use crate::cpu::CpuBackend;
+use crate::denoise;
 use crate::error::Error;
 use crate::lights::Lights;
 use crate::progress::Silent;
@@ -13,8 +18,8 @@ use crate::scene::Scene;
 
 const SIDE: usize = 16;
 const GATHER: Gather = Gather { cosine: 8, light: 0, seed: 3, part: 0 };
-/// Ten points a tile.
-const TILE: usize = 80;
+/// Points of a tile.
+const TILE: usize = 10;
 
 /// A floor, and a ceiling that shines unevenly.
 pub(super) fn two_sheets() -> (Scene, Rgb) {
@@ -61,6 +66,30 @@ pub(super) fn lit<'a>(scene: &'a Scene, radiance: &Rgb) -> CpuBackend<'a> {
     backend
 }
 
+/// Gathers at all texels in tiles of so many points.
+fn in_tiles(
+    backend: &mut CpuBackend<'_>,
+    atlas: &Atlas,
+    gather: Gather,
+    len: usize,
+    checkpoints: &Checkpoints,
+    progress: &dyn Progress,
+) -> Result<Vec<Gathered>> {
+    let texels = Texels::of(atlas);
+    let mut all = Vec::new();
+    Tiles::new(&texels.points, None, gather).of(len).gather(
+        gather.seed,
+        backend,
+        checkpoints,
+        progress,
+        |_, found| {
+            all.extend_from_slice(found);
+            Ok(())
+        },
+    )?;
+    Ok(all)
+}
+
 fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> Checkpoints {
     Checkpoints::open(path, &identity(&scene.mesh, radiance, GATHER), progress).unwrap()
 }
@@ -70,11 +99,11 @@ fn tiles_of_any_size_give_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
     let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
-    let mut bake = |tile| in_tiles(&mut backend, &atlas.points, GATHER, tile, &Checkpoints::none(), &Silent).unwrap();
+    let mut bake = |tile| in_tiles(&mut backend, &atlas, GATHER, tile, &Checkpoints::none(), &Silent).unwrap();
     let whole = bake(usize::MAX);
     assert!(whole.len() > 100 && whole.iter().any(|g| g.irradiance[0] > 0.1));
-    for tile in [0, 8, 100, 999] {
-        assert!(whole == bake(tile), "tiles of {tile} rays");
+    for tile in [1, 12, 124] {
+        assert!(whole == bake(tile), "tiles of {tile} points");
     }
 }
 
@@ -83,16 +112,15 @@ fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
     let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
-    let whole = in_tiles(&mut backend, &atlas.points, GATHER, TILE, &Checkpoints::none(), &Silent).unwrap();
+    let whole = in_tiles(&mut backend, &atlas, GATHER, TILE, &Checkpoints::none(), &Silent).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("new/map.exr.partial");
     for limit in [1, 300, 1000] {
         let stop = Stop { limit, ..Stop::default() };
         let kept = open(&path, &scene, &radiance, &stop);
-        let stopped = in_tiles(&mut backend, &atlas.points, GATHER, TILE, &kept, &stop);
+        let stopped = in_tiles(&mut backend, &atlas, GATHER, TILE, &kept, &stop);
         assert!(matches!(stopped, Err(Error::Cancelled)));
-        let resumed =
-            in_tiles(&mut backend, &atlas.points, GATHER, TILE, &open(&path, &scene, &radiance, &Silent), &Silent);
+        let resumed = in_tiles(&mut backend, &atlas, GATHER, TILE, &open(&path, &scene, &radiance, &Silent), &Silent);
         assert!(whole == resumed.unwrap(), "stopped after {limit} rays");
         kept.finish();
         assert!(!path.exists());
@@ -100,9 +128,9 @@ fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     // What was gathered is not gathered again: in the dark, the first tiles are still bright.
     let stop = Stop { limit: 300, ..Stop::default() };
     let kept = open(&path, &scene, &radiance, &stop);
-    in_tiles(&mut backend, &atlas.points, GATHER, TILE, &kept, &stop).unwrap_err();
+    in_tiles(&mut backend, &atlas, GATHER, TILE, &kept, &stop).unwrap_err();
     let mut dark = lit(&scene, &radiance.map(|_| [0.0; 3]));
-    let mixed = in_tiles(&mut dark, &atlas.points, GATHER, TILE, &kept, &Silent).unwrap();
+    let mixed = in_tiles(&mut dark, &atlas, GATHER, TILE, &kept, &Silent).unwrap();
     assert!(mixed[..30] == whole[..30] && mixed[40..].iter().all(|g| g.irradiance == [0.0; 3]));
 }
 
@@ -115,7 +143,7 @@ fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
     let path = folder.path().join("map.exr.partial");
     let mut bake = |radiance: &Rgb, gather, stop: &Stop| {
         let kept = Checkpoints::open(&path, &identity(&scene.mesh, radiance, gather), stop).unwrap();
-        in_tiles(&mut backend, &atlas.points, gather, TILE, &kept, stop)
+        in_tiles(&mut backend, &atlas, gather, TILE, &kept, stop)
     };
     let begin = Stop { limit: 500, ..Stop::default() };
     bake(&radiance, GATHER, &begin).unwrap_err();
@@ -149,4 +177,138 @@ fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
         assert!(run(&open(), &Silent).unwrap() == whole, "stopped after {limit} rays");
         open().finish();
     }
+}
+
+/// Texels of the map that is baked in memory and in files, a side.
+const LARGE: usize = 128;
+
+/// A floor in strips, each a chart of its own, in an order that is not that of space; a rug that buries a part of it; and a
+/// ceiling that shines.
+fn strips() -> (Scene, Rgb) {
+    let mut mesh = Mesh::default();
+    let mut sheet = |[x0, x1, y0, y1]: [f32; 4], height: f32, up: bool, slot: usize| {
+        let (base, column, row) = (mesh.positions.len() as u32, slot % 4, slot / 4);
+        for (x, y) in [(x0, y0), (x1, y0), (x1, y1), (x0, y1)] {
+            mesh.positions.push(Vec3::new(x, y, height));
+            mesh.normals.push(if up { Vec3::Z } else { -Vec3::Z });
+            let place = Vec2::new((x - x0) / (x1 - x0), (y - y0) / (y1 - y0));
+            mesh.uvs.push((Vec2::new(column as f32, row as f32) + 0.1 + 0.75 * place) / 4.0);
+        }
+        let (b, d) = if up { (1, 3) } else { (3, 1) };
+        mesh.triangles.extend([[base, base + b, base + 2], [base, base + 2, base + d]]);
+    };
+    for k in 0..12 {
+        sheet([k as f32, (k + 1) as f32, 0.0, 1.0], 0.0, true, k * 5 % 12);
+    }
+    sheet([3.3, 5.3, 0.1, 0.9], 0.01, true, 12);
+    sheet([0.0, 12.0, 0.0, 1.0], 0.5, false, 14);
+    let data = (0..SIDE * SIDE).map(|i| [0.1 + (i % 7) as f32, 1.0, if i % 5 == 0 { 9.0 } else { 0.1 }]).collect();
+    (Scene::new(mesh).unwrap(), Rgb { width: SIDE, height: SIDE, data })
+}
+
+/// In files, with few texels at a time.
+fn on_disk(folder: &Path) -> Workspace {
+    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(3500 * memory::POINT) }
+}
+
+/// The map and its errors, made some rows at a time.
+fn maps(solution: &Solution, texels: &Texels<'_>, buried: Buried, band: usize) -> (Vec<[f32; 3]>, Vec<f32>) {
+    let bands = || (0..LARGE).step_by(band).map(|row| row..(row + band).min(LARGE));
+    let map = bands().flat_map(|rows| solution.map_rows(texels, buried, rows).unwrap()).collect();
+    (map, bands().flat_map(|rows| solution.error_rows(texels, rows).unwrap()).collect())
+}
+
+#[test]
+fn a_bake_in_files_has_the_bits_of_one_in_memory() {
+    let (scene, radiance) = strips();
+    let mut backend = lit(&scene, &radiance);
+    let atlas = Atlas::new(&mut backend, &scene, LARGE, LARGE).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let gather = Gather { cosine: 64, ..GATHER };
+    let mut texels = |workspace| Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent).unwrap();
+    let (memory, disk) = (texels(Workspace::Memory), texels(on_disk(folder.path())));
+    assert_eq!(disk.valid(), atlas.texels.len());
+    assert_eq!(disk.typical(&scene.mesh).unwrap(), atlas.typical_texel(&scene.mesh));
+    for (error, denoise) in [(None, false), (None, true), (Some(0.0), false), (Some(0.0), true), (Some(0.2), true)] {
+        let quality = Quality { gather, error, denoise };
+        let mut solve = |texels: &Texels<'_>| {
+            super::solve(&mut backend, &scene.mesh, texels, &quality, &Checkpoints::none(), &Silent).unwrap()
+        };
+        let (in_memory, on_disk) = (solve(&memory), solve(&disk));
+        let baked = bake(&mut backend, &scene.mesh, &atlas, &quality, &Checkpoints::none(), &Silent).unwrap();
+        let buried = baked.buried.iter().filter(|inside| **inside).count();
+        assert!(buried > 10 && on_disk.buried().unwrap() == buried && on_disk.rays == baked.rays, "{quality:?}");
+        for buried in [Buried::Keep, Buried::Fill] {
+            let whole = maps(&in_memory, &memory, buried, LARGE);
+            assert!(whole.0 == baked.map(&atlas, buried).data, "{quality:?}, {buried:?}");
+            assert!(error.is_none() || whole.1.iter().any(|e| *e > 0.0));
+            for band in [1, 7, 16] {
+                assert!(maps(&on_disk, &disk, buried, band) == whole, "{quality:?}, {buried:?}, {band} rows");
+            }
+        }
+    }
+    // Negative control: where blocks have not enough around them, their borders differ.
+    let quality = Quality { gather, error: None, denoise: true };
+    let mut solve = |texels: &Texels<'_>, reach| {
+        let surface = Surface::new(texels, &scene.mesh, reach).unwrap();
+        let solved = solution::solve_on(&mut backend, &surface, &quality, &Checkpoints::none(), &Silent).unwrap();
+        maps(&solved, texels, Buried::Keep, LARGE).0
+    };
+    let (whole, enough, little) = (solve(&memory, 1.0), solve(&disk, denoise::REACH), solve(&disk, 1.0));
+    assert!(whole == enough && whole != little);
+}
+
+#[test]
+fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
+    let (scene, radiance) = strips();
+    let mut backend = lit(&scene, &radiance);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.exr.partial");
+    let quality = Quality { gather: Gather { cosine: 128, ..GATHER }, error: Some(0.2), denoise: true };
+    let open = || Checkpoints::open(&path, &identity(&scene.mesh, &radiance, quality), &Silent).unwrap();
+    let mut run = |workspace: Workspace, kept: &Checkpoints, progress: &dyn Progress| -> Result<_> {
+        let texels = Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent)?;
+        let solution = super::solve(&mut backend, &scene.mesh, &texels, &quality, kept, progress)?;
+        Ok((maps(&solution, &texels, Buried::Keep, 16), solution.rays, texels.valid() as u64))
+    };
+    let (whole, rays, texels) = run(Workspace::Memory, &Checkpoints::none(), &Silent).unwrap();
+    let denoised = || {
+        let mut names =
+            std::fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        names.any(|name| name.contains("denoised"))
+    };
+    // 128 rays are three rounds: errors are told between them and at the end. Then the first block is denoised.
+    let late = rays + 3 * texels + 1;
+    for (limit, in_memory) in [(1, false), (rays / 2, true), (rays / 2, false), (late, false)] {
+        let stop = Stop { limit, ..Stop::default() };
+        assert!(matches!(run(on_disk(folder.path()), &open(), &stop), Err(Error::Cancelled)), "{limit} of {rays}");
+        assert_eq!(denoised(), limit == late, "blocks are kept");
+        let workspace = if in_memory { Workspace::Memory } else { on_disk(folder.path()) };
+        assert!(run(workspace, &open(), &Silent).unwrap().0 == whole, "stopped after {limit} of {rays} rays");
+        open().finish();
+        assert!(!path.exists());
+    }
+}
+
+#[test]
+fn texels_too_close_together_for_the_memory_are_an_error_that_says_what_would_do() {
+    let (scene, radiance) = strips();
+    let mut backend = lit(&scene, &radiance);
+    let folder = tempfile::tempdir().unwrap();
+    let small = Workspace::Disk { folder: folder.path().to_owned(), memory: ByteSize(50 * memory::POINT) };
+    let texels = Texels::map(&mut backend, &scene, [LARGE; 2], small, &Silent).unwrap();
+    let error = Surface::new(&texels, &scene.mesh, denoise::REACH).err().unwrap().to_string();
+    assert!(error.contains("more memory") && error.contains("KiB"), "{error}");
+}
+
+#[test]
+fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
+    let (scene, _) = strips();
+    let plan = |limit, side| keep_within(limit, Path::new("x.partial"), &scene.mesh, 256, [side; 2]);
+    assert_eq!(plan(ByteSize::gib(1), 512).unwrap(), Workspace::Memory);
+    let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 16384).unwrap() else { panic!("in memory") };
+    assert!(memory < ByteSize::gib(1) && memory > ByteSize::mib(800), "{memory}");
+    let error = plan(ByteSize::mib(64), 16384).unwrap_err().to_string();
+    let least = error.split("about ").nth(1).and_then(|rest| rest.split(':').next()).unwrap();
+    assert!(plan(ByteSize(least.parse::<ByteSize>().unwrap().0 + (1 << 20)), 16384).is_ok(), "{error}");
 }

@@ -19,6 +19,8 @@ pub mod trace;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::backend::{
@@ -113,9 +115,9 @@ impl Backend for CpuBackend<'_> {
         Ok((0..camera.pixels()).into_par_iter().map(hit).collect())
     }
 
-    fn texels(&mut self, width: usize, height: usize) -> Result<Vec<Hit>> {
-        let mesh = &self.scene.mesh;
-        let bins = texels::TileBins::new(mesh, width, height);
+    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
+        let (mesh, [width, height]) = (&self.scene.mesh, size);
+        let bins = texels::TileBins::new(mesh, size, rows.clone());
         let corners = |t: u32| mesh.corner_uvs(t).map(|uv| [uv.x * width as f32, uv.y * height as f32]);
         let hit = |i: usize| {
             let (x, y) = (i % width, i / width);
@@ -126,7 +128,7 @@ impl Backend for CpuBackend<'_> {
                 t: f32::from(u8::from(h.inside)),
             })
         };
-        Ok((0..width * height).into_par_iter().map(hit).collect())
+        Ok((rows.start * width..rows.end * width).into_par_iter().map(hit).collect())
     }
 
     fn irradiance(

@@ -241,7 +241,7 @@ fn a_closed_box_of_constant_radiance_is_a_furnace() {
     let scene = Scene::new(box_room()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     backend.set_tbl(&Rgb::filled(4, 4, [2.0, 1.0, 0.5]), &Lights::none(&scene.mesh)).unwrap();
-    let hits = backend.texels(24, 8).unwrap();
+    let hits = backend.texels([24, 8], 0..8).unwrap();
     let points: Vec<SurfacePoint> =
         hits.iter().filter(|h| h.is_hit()).map(|h| SurfacePoint::new(&scene.mesh, h, None)).collect();
     assert!(points.len() > 100);

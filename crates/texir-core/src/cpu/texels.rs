@@ -1,5 +1,7 @@
 //! Texel map, twin of `texels.wgsl`: which surface point each atlas texel is.
 
+use std::ops::Range;
+
 use glam::Vec2;
 
 use crate::mesh::Mesh;
@@ -17,6 +19,8 @@ pub const REACH: f64 = std::f64::consts::FRAC_1_SQRT_2;
 pub struct TileBins {
     /// Tiles per row.
     pub columns: usize,
+    /// First row of tiles.
+    pub first_row: usize,
     /// `tiles + 1` offsets into `triangles`.
     pub offsets: Vec<u32>,
     /// Triangle indices, tile by tile.
@@ -24,22 +28,25 @@ pub struct TileBins {
 }
 
 impl TileBins {
-    /// Bins every triangle into the tiles that its bounds, grown by [`REACH`], touch.
-    pub fn new(mesh: &Mesh, width: usize, height: usize) -> Self {
-        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let mut lists = vec![Vec::new(); columns * rows];
+    /// Bins every triangle into the tiles that its bounds, grown by [`REACH`], touch: those that hold `rows` of an atlas of
+    /// `[width, height]` texels.
+    pub fn new(mesh: &Mesh, [width, height]: [usize; 2], rows: Range<usize>) -> Self {
+        let columns = width.div_ceil(TILE);
+        let (first_row, end_row) = (rows.start / TILE, rows.end.div_ceil(TILE));
+        let mut lists = vec![Vec::new(); columns * end_row.saturating_sub(first_row)];
         for triangle in 0..mesh.triangles.len() as u32 {
             let corners = mesh.corner_uvs(triangle).map(|uv| uv * Vec2::new(width as f32, height as f32));
             let low = corners.into_iter().reduce(Vec2::min).unwrap_or_default() - 1.0;
             let high = corners.into_iter().reduce(Vec2::max).unwrap_or_default() + 1.0;
             let tile = |x: f32, count: usize| ((x.max(0.0) as usize) / TILE).min(count - 1);
-            for ty in tile(low.y, rows)..=tile(high.y, rows) {
+            let all_rows = height.div_ceil(TILE);
+            for ty in tile(low.y, all_rows).max(first_row)..(tile(high.y, all_rows) + 1).min(end_row) {
                 for tx in tile(low.x, columns)..=tile(high.x, columns) {
-                    lists[ty * columns + tx].push(triangle);
+                    lists[(ty - first_row) * columns + tx].push(triangle);
                 }
             }
         }
-        let mut bins = TileBins { columns, offsets: vec![0], triangles: Vec::new() };
+        let mut bins = TileBins { columns, first_row, offsets: vec![0], triangles: Vec::new() };
         for list in lists {
             bins.triangles.extend(list);
             bins.offsets.push(bins.triangles.len() as u32);
@@ -49,7 +56,7 @@ impl TileBins {
 
     /// The candidates of texel (x, y).
     pub fn at(&self, x: usize, y: usize) -> &[u32] {
-        let tile = (y / TILE) * self.columns + x / TILE;
+        let tile = (y / TILE - self.first_row) * self.columns + x / TILE;
         &self.triangles[self.offsets[tile] as usize..self.offsets[tile + 1] as usize]
     }
 }

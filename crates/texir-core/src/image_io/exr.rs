@@ -4,14 +4,15 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use exr::block::writer::ChunksWriter;
+use exr::block::{BlockIndex, UncompressedBlock};
 use exr::meta::BlockDescription;
+use exr::meta::attribute::{ChannelDescription, SampleType, Text};
 use exr::meta::header::Header;
-use exr::prelude::{
-    Encoding, FlatImage, FlatSamples, Image, Layer, LayerAttributes, MetaData, ReadChannels, ReadLayers,
-    SpecificChannels, Vec2, WritableImage, read,
-};
+use exr::prelude::{Encoding, FlatImage, FlatSamples, LayerAttributes, MetaData, ReadChannels, ReadLayers, Vec2, read};
+use rayon::prelude::*;
 
-use super::{bytes_of, cannot_read, check_size, most_memory};
+use super::{Rows, bytes_of, cannot_read, check_size, most_memory};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
@@ -149,21 +150,57 @@ fn sample(samples: &FlatSamples, index: usize) -> f32 {
 }
 
 /// Writes linear RGB as OpenEXR: R, G, B, 32-bit float, ZIP.
-pub fn write_rgb(path: impl AsRef<Path>, image: &Rgb) -> Result<()> {
-    let channels = SpecificChannels::build()
-        .with_channel::<f32>("R")
-        .with_channel::<f32>("G")
-        .with_channel::<f32>("B")
-        .with_pixel_fn(|at: Vec2<usize>| <(f32, f32, f32)>::from(*image.at(at.x(), at.y())));
-    let layer = Layer::new(image.size(), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, channels);
-    write_atomic(path, |sink| Image::from_layer(layer).write().to_buffered(sink))
+pub fn write_rgb<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
+    write(path.as_ref(), image.into(), [("B", 2), ("G", 1), ("R", 0)])
 }
 
 /// Writes one linear channel as OpenEXR: Y, 32-bit float, ZIP.
-pub fn write_gray(path: impl AsRef<Path>, image: &Gray) -> Result<()> {
-    let channels = SpecificChannels::build()
-        .with_channel::<f32>("Y")
-        .with_pixel_fn(|at: Vec2<usize>| (*image.at(at.x(), at.y()),));
-    let layer = Layer::new(image.size(), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, channels);
-    write_atomic(path, |sink| Image::from_layer(layer).write().to_buffered(sink))
+pub fn write_gray<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 1>>) -> Result<()> {
+    write(path.as_ref(), image.into(), [("Y", 0)])
+}
+
+/// Writes channels, in the order of their names, by their places in a pixel.
+fn write<const N: usize>(path: &Path, image: Rows<'_, N>, channels: [(&str, usize); N]) -> Result<()> {
+    let Encoding { compression, line_order, .. } = Encoding::SMALL_LOSSLESS;
+    let order = channels.map(|(_, place)| place);
+    let list = channels.iter().map(|(name, _)| ChannelDescription::named(*name, SampleType::F32)).collect();
+    let [width, height] = image.size();
+    let header = Header::new(Text::default(), (width, height), list)
+        .with_encoding(compression, BlockDescription::ScanLines, line_order)
+        .with_attributes(LayerAttributes::default());
+    let lines = compression.scan_lines_per_block();
+    let failed = |e: Error| exr::error::Error::Invalid(e.to_string().into());
+    write_atomic(path, |sink| {
+        exr::block::write(sink, [header].into_iter().collect(), true, |meta, chunks| {
+            let compressed = |first: usize, pixels: &[[f32; N]]| {
+                let index = BlockIndex {
+                    layer: 0,
+                    pixel_position: Vec2(0, first),
+                    pixel_size: Vec2(width, pixels.len() / width),
+                    level: Vec2(0, 0),
+                };
+                UncompressedBlock { index, data: planes(pixels, width, order) }.compress_to_chunk(&meta.headers)
+            };
+            let written = image.each(|rows, pixels| {
+                let first = rows.start / lines;
+                let blocks = pixels.par_chunks(lines * width).enumerate();
+                let blocks: Vec<_> = blocks.map(|(k, block)| compressed((first + k) * lines, block)).collect();
+                for (k, chunk) in blocks.into_iter().enumerate() {
+                    let written = chunk.and_then(|chunk| chunks.write_chunk(first + k, chunk));
+                    written.map_err(Error::invalid)?;
+                }
+                Ok(())
+            });
+            written.map_err(failed)
+        })
+    })
+}
+
+/// Some lines as OpenEXR has them: of every line one channel after another.
+fn planes<const N: usize>(pixels: &[[f32; N]], width: usize, order: [usize; N]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(size_of_val(pixels));
+    for line in pixels.chunks(width) {
+        order.iter().for_each(|&c| bytes.extend(line.iter().flat_map(|pixel| pixel[c].to_ne_bytes())));
+    }
+    bytes
 }

@@ -7,28 +7,29 @@ use half::f16;
 use ktx2::dfd::{Basic, Block};
 use ktx2::{Format, Header, Index, LevelIndex};
 
+use super::Rows;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
-use crate::raster::Rgb;
 
 /// Writes linear RGB as uncompressed R16G16B16A16_SFLOAT, one level, alpha 1. Beyond 65504 a half float ends: brighter
 /// values take that one.
-pub fn write_ktx2(path: impl AsRef<Path>, image: &Rgb) -> Result<()> {
+pub fn write_ktx2<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
     const FORMAT: Format = Format::R16G16B16A16_SFLOAT;
     const TEXEL_BYTES: usize = 8;
-    let path = path.as_ref();
+    let (path, image) = (path.as_ref(), image.into());
+    let [width, height] = image.size();
     let (basic, type_size) =
         Basic::from_format(FORMAT).map_err(|e| Error::file(path, format!("cannot be described: {e:?}")))?;
     let block = Block::Basic(basic).to_vec();
     let descriptor_bytes = 4 + block.len();
     let descriptor_at = Header::LENGTH + LevelIndex::LENGTH;
     let texels_at = (descriptor_at + descriptor_bytes).next_multiple_of(TEXEL_BYTES);
-    let texel_bytes = (image.data.len() * TEXEL_BYTES) as u64;
+    let texel_bytes = (width * height * TEXEL_BYTES) as u64;
     let header = Header {
         format: Some(FORMAT),
         type_size,
-        pixel_width: image.width as u32,
-        pixel_height: image.height as u32,
+        pixel_width: width as u32,
+        pixel_height: height as u32,
         pixel_depth: 0,
         layer_count: 0,
         face_count: 1,
@@ -46,22 +47,26 @@ pub fn write_ktx2(path: impl AsRef<Path>, image: &Rgb) -> Result<()> {
     let level =
         LevelIndex { byte_offset: texels_at as u64, byte_length: texel_bytes, uncompressed_byte_length: texel_bytes };
     let half = |v: f32| f16::from_f32(v.min(f16::MAX.to_f32())).to_le_bytes();
-    write_atomic(path, |sink| -> std::io::Result<()> {
-        sink.write_all(&header.as_bytes())?;
-        sink.write_all(&level.as_bytes())?;
-        sink.write_all(&(descriptor_bytes as u32).to_le_bytes())?;
-        sink.write_all(&block)?;
-        sink.write_all(&[0; TEXEL_BYTES][..texels_at - descriptor_at - descriptor_bytes])?;
-        for [r, g, b] in &image.data {
-            sink.write_all(&[half(*r), half(*g), half(*b), half(1.0)].concat())?;
-        }
-        Ok(())
+    let head: [&[u8]; 5] = [
+        &header.as_bytes(),
+        &level.as_bytes(),
+        &(descriptor_bytes as u32).to_le_bytes(),
+        &block,
+        &[0; TEXEL_BYTES][..texels_at - descriptor_at - descriptor_bytes],
+    ];
+    write_atomic(path, |sink| {
+        sink.write_all(&head.concat()).map_err(Error::invalid)?;
+        image.each(|_, pixels| {
+            let texels = pixels.iter().map(|[r, g, b]| [half(*r), half(*g), half(*b), half(1.0)].concat());
+            texels.into_iter().try_for_each(|texel| sink.write_all(&texel)).map_err(Error::invalid)
+        })
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raster::Rgb;
 
     #[test]
     fn an_independent_reader_finds_what_was_written() {

@@ -8,6 +8,7 @@ mod exr;
 mod hdr;
 mod ktx2;
 mod png;
+mod rows;
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -20,6 +21,7 @@ pub use self::exr::{write_gray, write_rgb};
 pub use self::hdr::{encode_hdr, write_hdr};
 pub use self::ktx2::write_ktx2;
 pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
+pub use self::rows::Rows;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 

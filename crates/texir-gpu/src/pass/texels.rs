@@ -1,5 +1,7 @@
 //! Host side of `texels.wgsl`.
 
+use std::ops::Range;
+
 use bytemuck::{Pod, Zeroable};
 use texir_core::cpu::texels::{REACH, TILE, TileBins};
 use texir_core::error::Result;
@@ -17,32 +19,37 @@ pub(crate) struct TexelsParams {
     pub width: u32,
     pub height: u32,
     pub first_row: u32,
+    pub rows_begin: u32,
+    pub rows_end: u32,
     pub first_candidate: u32,
     pub candidates: u32,
     pub reach: f32,
 }
 
 /// See [`texir_core::backend::Backend::texels`].
-pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, width: usize, height: usize) -> Result<Vec<Hit>> {
+pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
     let kernel = ctx.kernel("texels", "texels", Some(("TILE", TILE as u32)))?;
-    let bins = TileBins::new(mesh, width, height);
+    let ([width, height], count) = (size, size[0] * rows.len());
+    let bins = TileBins::new(mesh, size, rows.clone());
     let most = bins.offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
-    let rows = height.div_ceil(TILE);
+    let tile_rows = (bins.offsets.len() - 1) / bins.columns;
     let uvs: Vec<[glam::Vec2; 3]> = (0..mesh.triangles.len() as u32).map(|t| mesh.corner_uvs(t)).collect();
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
     let offsets = pool.upload(gpu, "bin offsets", &bins.offsets)?;
     let lists = pool.upload(gpu, "bins", &bins.triangles)?;
     let uvs = pool.upload(gpu, "corner coordinates", &uvs)?;
-    let hits = pool.reserve(gpu, "hits", (width * height * size_of::<Hit>()) as u64)?;
+    let hits = pool.reserve(gpu, "hits", (count * size_of::<Hit>()) as u64)?;
     for first_candidate in (0..most.max(1)).step_by(CANDIDATES as usize) {
         let mut row = 0;
-        while row < rows {
+        while row < tile_rows {
             // A candidate costs no more than a ray does.
-            let end = rows.min(row + ctx.batch(CANDIDATES.min(most), size_of::<Hit>()).div_ceil(width * TILE));
+            let end = tile_rows.min(row + ctx.batch(CANDIDATES.min(most), size_of::<Hit>()).div_ceil(width * TILE));
             let params = ctx.params(&TexelsParams {
                 width: width as u32,
                 height: height as u32,
                 first_row: row as u32,
+                rows_begin: rows.start as u32,
+                rows_end: rows.end as u32,
                 first_candidate,
                 candidates: CANDIDATES,
                 reach: REACH as f32,
@@ -57,12 +64,12 @@ pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, width: usize, height: usize) -
                     ("hits", hits.binding()),
                 ],
             )?;
-            let (columns, count) = (bins.columns as u32, (end - row) as u32);
-            ctx.submit(|pass| kernel.record_grid(pass, &groups, columns, count))?;
+            let (columns, tiles) = (bins.columns as u32, (end - row) as u32);
+            ctx.submit(|pass| kernel.record_grid(pass, &groups, columns, tiles))?;
             row = end;
         }
     }
-    let mut out: Vec<Hit> = ctx.pool.download(&ctx.gpu, &hits, width * height)?;
+    let mut out: Vec<Hit> = ctx.pool.download(&ctx.gpu, &hits, count)?;
     for hit in &mut out {
         // From the squared distance to whether the centre is inside.
         *hit = if hit.is_hit() { Hit { t: f32::from(u8::from(hit.t == 0.0)), ..*hit } } else { Hit::MISS };

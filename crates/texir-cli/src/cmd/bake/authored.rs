@@ -87,7 +87,10 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
         authored::irradiance(backend.as_mut(), &scene, &atlas, &surfaces, &bounces, &checkpoints, session.console)?;
     let map = bake.profile().lightmap(&solved.baked.map(&atlas, bake.buried()));
     write_lightmap(&bake.output, &map)?;
-    bake.write_standard_error(&solved.baked, &atlas)?;
+    if let Some(errors) = &solved.baked.standard_error {
+        let scaled: Vec<f32> = errors.iter().map(|e| e * bake.profile().scale()).collect();
+        bake.write_standard_error((&atlas.scatter(&scaled, 0.0)).into())?;
+    }
     let attached = (bake.profile() == Profile::Moz).then_some(&map);
     write_lightmapped_glb(&glb, &bake.input, &model, attached)?;
     checkpoints.finish();

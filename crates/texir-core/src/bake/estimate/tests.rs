@@ -3,6 +3,7 @@ use crate::atlas::Atlas;
 use crate::bake::tests::{lit, two_sheets};
 use crate::progress::Silent;
 use crate::raster::Rgb;
+use crate::scene::Scene;
 
 const SIDE: usize = 48;
 const GATHER: Gather = Gather { cosine: 512, light: 0, seed: 3, part: 0 };
@@ -11,47 +12,61 @@ const TARGET: f32 = 0.25;
 
 /// A floor below a ceiling of which a small part shines, gathered by cosine samples alone: mostly nothing, rarely much.
 struct Noisy {
-    points: Vec<SurfacePoint>,
-    texel: f32,
+    scene: Scene,
+    radiance: Rgb,
+    floor: Atlas,
     /// Luminance of E, nearly without noise.
     truth: Vec<f32>,
-    sample: Box<dyn Fn(Gather, Option<f32>) -> Estimate>,
 }
 
-fn noisy() -> Noisy {
-    let (scene, radiance) = two_sheets();
-    let (scene, width) = (&*Box::leak(Box::new(scene)), radiance.width);
-    let shines = |i: usize| (10..13).contains(&(i % width)) && (6..10).contains(&(i / width));
-    let data = (0..radiance.data.len()).map(|i| [f32::from(u8::from(shines(i))); 3]).collect();
-    let radiance = Rgb { data, ..radiance };
-    let atlas = Atlas::new(&mut lit(scene, &radiance), scene, SIDE, SIDE).unwrap();
-    let texel = atlas.typical_texel(&scene.mesh);
-    let points: Vec<SurfacePoint> = atlas.points.into_iter().filter(|p| p.normal[2] > 0.0).collect();
-    let gathered = lit(scene, &radiance).irradiance(&points, Gather { cosine: 2048, ..GATHER }, &Silent).unwrap();
-    let truth = gathered.iter().map(|g| luminance(&g.irradiance)).collect();
-    let floor = points.clone();
-    let sample = move |gather, error| {
-        let mut backend = lit(scene, &radiance);
-        Estimate::sample(&mut backend, &floor, texel, gather, error, &Checkpoints::none(), &Silent).unwrap()
-    };
-    Noisy { points, texel, truth, sample: Box::new(sample) }
+impl Noisy {
+    fn new() -> Self {
+        let (scene, radiance) = two_sheets();
+        let width = radiance.width;
+        let shines = |i: usize| (10..13).contains(&(i % width)) && (6..10).contains(&(i / width));
+        let data = (0..radiance.data.len()).map(|i| [f32::from(u8::from(shines(i))); 3]).collect();
+        let radiance = Rgb { data, ..radiance };
+        let mut floor = Atlas::new(&mut lit(&scene, &radiance), &scene, SIDE, SIDE).unwrap();
+        floor.points.retain(|p| p.normal[2] > 0.0);
+        floor.texels = floor.points.iter().map(|p| p.sequence).collect();
+        let gather = Gather { cosine: 2048, ..GATHER };
+        let gathered = lit(&scene, &radiance).irradiance(&floor.points, gather, &Silent).unwrap();
+        let truth = gathered.iter().map(|g| luminance(&g.irradiance)).collect();
+        Self { scene, radiance, floor, truth }
+    }
+
+    /// Samples, and looks at what was found.
+    fn sample<T>(
+        &self,
+        gather: Gather,
+        error: Option<f32>,
+        look: impl FnOnce(&Estimate, &Surface<'_>, &Known<'_>) -> T,
+    ) -> T {
+        let texels = Texels::of(&self.floor);
+        let surface = Surface::new(&texels, &self.scene.mesh, RADIUS).unwrap();
+        let mut backend = lit(&self.scene, &self.radiance);
+        let found = Estimate::sample(&mut backend, &surface, gather, error, &Checkpoints::none(), &Silent).unwrap();
+        look(&found, &surface, &found.known(&Items::Range(0..self.truth.len())).unwrap())
+    }
 }
 
 #[test]
 fn texels_stop_without_bias() {
-    let noisy = noisy();
-    let n = noisy.points.len();
+    let noisy = Noisy::new();
+    let n = noisy.truth.len();
     let truth: f32 = noisy.truth.iter().sum();
     let (mut adaptive, mut by_own, mut rays, seeds) = (0.0, 0.0, 0, 6);
     for seed in 0..seeds {
         let gather = Gather { seed, ..GATHER };
-        let estimate = (noisy.sample)(gather, Some(TARGET));
-        adaptive += (0..n).map(|i| estimate.luminance(i)).sum::<f32>();
-        rays += estimate.rays();
+        noisy.sample(gather, Some(TARGET), |estimate, _, known| {
+            adaptive += (0..n).map(|i| known.luminance(i)).sum::<f32>();
+            rays += estimate.rays().unwrap();
+        });
         // Negative control: texels that stop after the first round where their own halves agree.
-        let [first, all] = [2 * FIRST, gather.cosine].map(|cosine| (noisy.sample)(Gather { cosine, ..gather }, None));
-        let agrees = |i: usize| first.difference(i, first.floor()) <= TARGET;
-        by_own += (0..n).map(|i| if agrees(i) { first.luminance(i) } else { all.luminance(i) }).sum::<f32>();
+        let all: Vec<f32> = noisy.sample(gather, None, |_, _, all| (0..n).map(|i| all.luminance(i)).collect());
+        by_own += noisy.sample(Gather { cosine: 2 * FIRST, ..gather }, None, |_, _, first| {
+            (0..n).map(|i| if first.difference(i) <= TARGET { first.luminance(i) } else { all[i] }).sum::<f32>()
+        });
     }
     let share = rays as f32 / (n as u64 * u64::from(seeds) * u64::from(GATHER.cosine)) as f32;
     assert!((0.1..0.9).contains(&share), "{share} of the rays");
@@ -62,17 +77,19 @@ fn texels_stop_without_bias() {
 
 #[test]
 fn standard_errors_are_those_that_estimates_have() {
-    let noisy = noisy();
+    let noisy = Noisy::new();
     for error in [0.0, TARGET] {
-        let estimate = (noisy.sample)(GATHER, Some(error));
-        let errors = estimate.standard_errors(&noisy.points, noisy.texel);
-        let squares = |value: &dyn Fn(usize) -> f32| (0..errors.len()).map(|i| value(i).powi(2)).sum::<f32>().sqrt();
-        let told = squares(&|i| errors[i]) / squares(&|i| estimate.luminance(i) - noisy.truth[i]);
-        assert!((0.85..1.15).contains(&told), "standard errors are {told} times the errors");
-        let (floor, n) = (estimate.floor(), errors.len());
-        let missed = (0..n).filter(|&i| errors[i] > TARGET * 1.3 * estimate.luminance(i).max(floor)).count();
-        let capped = (0..n).filter(|&i| estimate.rays[i] == GATHER.cosine).count();
-        assert!(missed <= capped, "{missed} texels missed the target, {capped} of them had all rays");
+        noisy.sample(GATHER, Some(error), |estimate, surface, known| {
+            let errors = estimate.standard_errors(surface, &Silent).unwrap().into_vec().unwrap();
+            let n = errors.len();
+            let squares = |value: &dyn Fn(usize) -> f32| (0..n).map(|i| value(i).powi(2)).sum::<f32>().sqrt();
+            let told = squares(&|i| errors[i]) / squares(&|i| known.luminance(i) - noisy.truth[i]);
+            assert!((0.85..1.15).contains(&told), "standard errors are {told} times the errors");
+            let allowed = |i: usize| TARGET * 1.3 * known.luminance(i).max(known.floor);
+            let missed = (0..n).filter(|&i| errors[i] > allowed(i)).count();
+            let capped = (0..n).filter(|&i| known.rays[i] == GATHER.cosine).count();
+            assert!(missed <= capped, "{missed} texels missed the target, {capped} of them had all rays");
+        });
     }
 }
 

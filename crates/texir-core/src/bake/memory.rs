@@ -1,0 +1,63 @@
+//! What a bake has in memory, and whether what it has of every texel goes to files instead.
+
+use std::path::Path;
+
+use bytesize::ByteSize;
+
+use super::store::Workspace;
+use crate::error::{Error, Result};
+use crate::mesh::Mesh;
+
+/// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, guide, entries of the search
+/// and while they are sorted, result.
+pub(super) const POINT: u64 = 192;
+
+/// Bytes that a valid texel takes where all of them are in memory, as measured.
+const TEXEL: u64 = 192;
+
+/// Bytes of the mesh and its hierarchy, per triangle.
+const TRIANGLE: u64 = 300;
+
+/// Bytes per texel of the HDR texture: itself, the backend's, and its texels while the lights among them are found.
+const RADIANCE: u64 = 64;
+
+/// The program, and what it does a piece at a time.
+const BASE: u64 = 48 << 20;
+
+/// Points of a neighbourhood with which work is not mostly at its borders, in as many bytes as a piece of the map takes.
+const FEWEST: u64 = 1 << 18;
+
+/// How to keep a bake within `limit`: in memory where a map of `[width, height]` texels, all of them valid, fits beside the mesh
+/// and an HDR texture of `radiance` texels; else in files in `folder`, which exists. Errors when even those leave too little.
+pub fn keep_within(
+    limit: ByteSize,
+    folder: &Path,
+    mesh: &Mesh,
+    radiance: usize,
+    [width, height]: [usize; 2],
+) -> Result<Workspace> {
+    let beside = BASE + mesh.triangles.len() as u64 * TRIANGLE + radiance as u64 * RADIANCE;
+    if beside + (width * height) as u64 * TEXEL <= limit.0 {
+        return Ok(Workspace::Memory);
+    }
+    let least = ByteSize(beside + FEWEST * POINT);
+    if least > limit {
+        return Err(Error::invalid(format!(
+            "max_memory is {limit}, but a bake of any size with {} triangles and an HDR texture of {radiance} texels needs about \
+             {least}: raise it",
+            mesh.triangles.len()
+        )));
+    }
+    Ok(Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(limit.0 - beside) })
+}
+
+/// What is wrong where so many texels lie so close together that they have to be in memory at once, in which `most` fit.
+pub(super) fn too_dense(texels: usize, most: usize) -> Error {
+    let bytes = |texels: usize| ByteSize(texels as u64 * POINT);
+    let more = bytes(texels.saturating_sub(most));
+    Error::invalid(format!(
+        "{texels} texels lie too close together to be gone through in {}: allow {more} more memory, or bake a smaller map, or one \
+         without denoising and standard errors",
+        bytes(most)
+    ))
+}

@@ -1,0 +1,82 @@
+//! Gathers, a tile of points after another, each of which is kept.
+
+use super::store::{Items, Store};
+use crate::backend::{Backend, Gather, Gathered};
+use crate::checkpoint::Checkpoints;
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::surface::SurfacePoint;
+
+/// Rays of a tile: some seconds' work on a processor.
+const RAYS: usize = 1 << 23;
+
+/// Points of a tile at most, for the memory that they take.
+const POINTS: usize = 1 << 18;
+
+/// Points to gather at. How they are cut into tiles changes nothing, as a point's samples depend on it alone.
+pub(super) struct Tiles<'a> {
+    points: &'a Store<'a, SurfacePoint>,
+    /// Some of the points, or all.
+    chosen: Option<&'a Store<'a, u32>>,
+    /// Points of a tile.
+    len: usize,
+    gather: Gather,
+}
+
+impl<'a> Tiles<'a> {
+    /// All points, or those that are `chosen`.
+    pub fn new(points: &'a Store<'a, SurfacePoint>, chosen: Option<&'a Store<'a, u32>>, gather: Gather) -> Self {
+        let len = (RAYS / (rays_of(gather) as usize).max(1)).clamp(1, POINTS);
+        Self { points, chosen, len, gather }
+    }
+
+    /// The same with so many points in a tile.
+    #[cfg(test)]
+    pub fn of(self, len: usize) -> Self {
+        Self { len, ..self }
+    }
+
+    /// How many points there are.
+    pub fn points(&self) -> usize {
+        self.chosen.map_or(self.points.len(), Store::len)
+    }
+
+    /// The tiles.
+    pub fn items(&self) -> impl Iterator<Item = Result<Items>> {
+        (0..self.points()).step_by(self.len).map(|start| {
+            let range = Items::Range(start..(start + self.len).min(self.points()));
+            let Some(chosen) = self.chosen else { return Ok(range) };
+            Ok(Items::Listed(chosen.get(&range)?.into_owned()))
+        })
+    }
+
+    /// Gathers from the stream of `seed`, and hands on what was found at the points of every tile.
+    pub fn gather(
+        &self,
+        seed: u32,
+        backend: &mut dyn Backend,
+        checkpoints: &Checkpoints,
+        progress: &dyn Progress,
+        mut take: impl FnMut(&Items, &[Gathered]) -> Result<()>,
+    ) -> Result<()> {
+        for (number, items) in self.items().enumerate() {
+            let items = items?;
+            let mut known = true;
+            let found = checkpoints.array(&format!("tile-{number}"), || {
+                known = false;
+                backend.irradiance(&self.points.get(&items)?, Gather { seed, ..self.gather }, progress)
+            })?;
+            if known {
+                progress.check()?;
+                progress.advance(items.len() as u64 * rays_of(self.gather));
+            }
+            take(&items, &found)?;
+        }
+        Ok(())
+    }
+}
+
+/// Rays of one point.
+pub(super) fn rays_of(gather: Gather) -> u64 {
+    u64::from(gather.cosine) + u64::from(gather.light)
+}
