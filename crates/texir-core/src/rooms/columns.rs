@@ -1,6 +1,6 @@
 //! What stands over each cell of a storey's plan: the mesh rasterised into vertical columns of 64 slices.
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 use super::storeys::{LEVEL_BIN, Storey};
 use super::{Grid, HORIZONTAL};
@@ -176,6 +176,8 @@ impl Polygon {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec2;
+
     use super::*;
 
     #[test]
