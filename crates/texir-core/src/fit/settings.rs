@@ -359,7 +359,7 @@ impl Default for RoughnessSettings {
             start: 0.5,
             image_noise: 0.05,
             iterations: 4,
-            min_cosine: 0.35,
+            min_cosine: 0.3,
             cap: 0.88,
             class_pull: 0.1,
             room_pull: 0.15,
