@@ -128,7 +128,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         (
             "texels",
             "TexelsParams",
-            host!(TexelsParams { width, height, first_row, first_candidate, candidates, reach }),
+            host!(TexelsParams { width, height, first_row, rows_begin, rows_end, first_candidate, candidates, reach }),
         ),
         ("primary", "Camera", host!(CameraUniform { right, kind, up, width, back, height, position, fx, fy, cx, cy })),
     ];
