@@ -70,7 +70,7 @@ pub struct Quality {
     pub gather: Gather,
     /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes all.
     pub error: Option<f32>,
-    /// Removes most of the noise: see [`denoise`].
+    /// Removes most of the noise: see [`denoise`](crate::denoise::denoise).
     pub denoise: bool,
 }
 
