@@ -78,7 +78,7 @@ impl<'a> Texels<'a> {
     }
 
     /// Some rows of the map of one value per texel; the values flagged `known` (all without), continued `rings` texels beyond
-    /// them, `empty` elsewhere.
+    /// them, 0 elsewhere.
     pub(super) fn rows<T: Pod>(
         &self,
         values: &Store<'_, T>,
