@@ -3,8 +3,9 @@
 use super::adjacency::Adjacency;
 use crate::atlas::Atlas;
 use crate::backend::Backend;
-use crate::capture::View;
+use crate::capture::{Coverage, Tbl, View};
 use crate::error::Result;
+use crate::inpaint;
 use crate::progress::Progress;
 use crate::raster::{Mask, Rgb, luminance};
 use crate::surface::SurfacePoint;
@@ -13,20 +14,27 @@ use crate::surface::SurfacePoint;
 /// stand out from the scene, L > ratio · mean L; in luminance (Rec. 709). Where views see such a texel, the median of what
 /// they see must pass as well: in the texture, a lamp bleeds into what is seen beside and behind it. What is joined to such
 /// texels on the surface belongs to them as long as it passes half the `ratio`: the darker part of a window, a lamp's shade.
+/// What no view sees is a light source only where the texture was filled with one's light: elsewhere it may well be brighter
+/// than the little that arrives in the gap behind a wardrobe.
 pub fn find(
     backend: &mut dyn Backend,
     (atlas, adjacency): (&Atlas, &Adjacency),
-    (radiance, irradiance): (&Rgb, &Rgb),
+    (tbl, irradiance): (&Tbl, &Rgb),
     views: &[View],
     ratio: f32,
     progress: &dyn Progress,
 ) -> Result<Mask> {
+    let radiance = &tbl.radiance;
     let texels = || atlas.texels.iter().map(|&t| t as usize);
+    let is_seen = |t: usize| tbl.coverage.data[t] == Coverage::Seen;
+    let seen: Vec<_> = texels().map(|t| is_seen(t).then(|| radiance.data[t])).collect();
+    let limit = inpaint::source_limit(&seen);
+    let known = |t: usize| is_seen(t) || inpaint::mean(radiance.data[t]) > limit;
     let mean = texels().map(|t| luminance(&radiance.data[t])).sum::<f32>() / atlas.texels.len() as f32;
     let reflected = |t: usize| luminance(&irradiance.data[t]) * std::f32::consts::FRAC_1_PI;
     let least = |t: usize| ratio * reflected(t).max(mean);
     let mut mask = Mask::filled(radiance.width, radiance.height, false);
-    for t in texels() {
+    for t in texels().filter(|&t| known(t)) {
         mask.data[t] = luminance(&radiance.data[t]) > least(t);
     }
     let candidates: Vec<usize> = (0..atlas.texels.len()).filter(|&i| mask.data[atlas.texels[i] as usize]).collect();
@@ -43,7 +51,7 @@ pub fn find(
     while let Some(i) = edge.pop() {
         for n in adjacency.around(i) {
             let t = atlas.texels[n as usize] as usize;
-            if !mask.data[t] && luminance(&radiance.data[t]) > 0.5 * ratio * reflected(t) {
+            if !mask.data[t] && known(t) && luminance(&radiance.data[t]) > 0.5 * ratio * reflected(t) {
                 mask.data[t] = true;
                 edge.push(n);
             }
@@ -80,6 +88,7 @@ mod tests {
     use super::*;
     use crate::fit::lit_square::{LitSquare, SIDE};
     use crate::progress::Silent;
+    use crate::raster::Raster;
 
     const LAMP: usize = 2 * SIDE + 2;
     const SHADE: usize = LAMP + 1;
@@ -96,15 +105,25 @@ mod tests {
         let views = square.views(&truth, (256, 128));
         // At E/π = 0.2, the shade reflects at twice an albedo of 1: not a seed of its own.
         let irradiance = Rgb::filled(SIDE, SIDE, [0.2 * std::f32::consts::PI; 3]);
-        let found = |radiance: &Rgb, views: &[View]| {
+        let mut coverage = Raster::filled(SIDE, SIDE, Coverage::Seen);
+        let found = |radiance: &Rgb, coverage: &Raster<Coverage>, views: &[View]| {
             let mut backend = square.backend();
             let surface = (&square.atlas, &square.adjacency);
-            let mask = find(&mut backend, surface, (radiance, &irradiance), views, 3.0, &Silent).unwrap();
+            let tbl = Tbl { radiance: radiance.clone(), coverage: coverage.clone() };
+            let mask = find(&mut backend, surface, (&tbl, &irradiance), views, 3.0, &Silent).unwrap();
             (0..SIDE * SIDE).filter(|&t| mask.data[t]).collect::<Vec<_>>()
         };
-        assert_eq!(found(&radiance, &views), [LAMP, SHADE]);
-        assert_eq!(found(&radiance, &[]), [LAMP, SHADE, BESIDE], "without views the texture decides");
+        assert_eq!(found(&radiance, &coverage, &views), [LAMP, SHADE]);
+        assert_eq!(found(&radiance, &coverage, &[]), [LAMP, SHADE, BESIDE], "without views the texture decides");
+        // What no view sees: filled from around, then with the light of the lamp that it is part of.
+        coverage.data[SHADE] = Coverage::Inpainted;
+        assert_eq!(found(&radiance, &coverage, &views), [LAMP]);
+        radiance.data[SHADE] = [10.0; 3];
+        assert_eq!(found(&radiance, &coverage, &[]), [LAMP, SHADE, BESIDE]);
+        radiance.data[SHADE] = [0.4; 3];
+        coverage.data[SHADE] = Coverage::Seen;
         radiance.data[LAMP] = [0.4; 3];
-        assert_eq!(found(&radiance, &views), [0; 0], "a dim surface beside nothing that glows is no light source");
+        let dim = found(&radiance, &coverage, &views);
+        assert_eq!(dim, [0; 0], "a dim surface beside nothing that glows is no light source");
     }
 }

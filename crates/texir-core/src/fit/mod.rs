@@ -83,7 +83,7 @@ pub struct Materials {
 /// What a fit yields, all in the same atlas.
 #[derive(Clone, Debug)]
 pub struct FitResult {
-    /// Materials, irradiance, and emission: the TBL where it is a light source, 0 elsewhere.
+    /// Materials, irradiance, and emission: where the TBL is a light source, what is left of it without what is reflected.
     pub textures: Textures,
     /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
     pub confidence: Option<Gray>,
@@ -140,7 +140,7 @@ pub fn fit(
     let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
-    let light = (&tbl.radiance, &irradiance);
+    let light = (&tbl, &irradiance);
     let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
     let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
     if emission.data.iter().all(|e| *e == [0.0; 3]) {
@@ -167,6 +167,7 @@ pub fn fit(
         Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
         Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
     };
+    let emission = emitted(&emission, &materials);
     let Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence } = materials;
     let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
     timings.mark("materials");
@@ -202,6 +203,18 @@ fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {
     values.iter().zip(mask).map(|(&v, &m)| if m { v } else { [0.0; 3] }).collect()
 }
 
+/// What light sources emit: what leaves them, `outgoing`, less the a E/π that they reflect.
+fn emitted(outgoing: &Rgb, materials: &Materials) -> Rgb {
+    let of_texel = |t: usize| -> [f32; 3] {
+        let diffuse = 1.0 - materials.metallic.as_ref().map_or(0.0, |map| map.data[t]);
+        let (albedo, irradiance) = (&materials.albedo.data[t], &materials.irradiance.data[t]);
+        std::array::from_fn(|c| {
+            (outgoing.data[t][c] - diffuse * albedo[c] * irradiance[c] * std::f32::consts::FRAC_1_PI).max(0.0)
+        })
+    };
+    Raster { data: (0..outgoing.data.len()).map(of_texel).collect(), ..*outgoing }
+}
+
 /// A stopwatch that names its laps.
 struct Timings {
     last: Instant,
@@ -213,5 +226,28 @@ impl Timings {
         let now = Instant::now();
         self.entries.push((what.to_owned(), (now - self.last).as_secs_f64()));
         self.last = now;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_lamp_reflects_is_not_emitted() {
+        let map = |value: [f32; 3]| Rgb::filled(3, 1, value);
+        let mut outgoing = map([2.0, 1.0, 0.1]);
+        outgoing.data[2] = [0.0; 3];
+        let materials = Materials {
+            albedo: map([0.5; 3]),
+            roughness: Gray::filled(3, 1, 0.5),
+            metallic: Some(Gray { width: 3, height: 1, data: vec![0.0, 1.0, 0.0] }),
+            irradiance: map([std::f32::consts::PI; 3]),
+            diffuse: DiffuseModel::default(),
+            masking: Masking::default(),
+            confidence: None,
+        };
+        // Half of the irradiance; nothing of a metal's; never less than nothing.
+        assert_eq!(emitted(&outgoing, &materials).data, [[1.5, 0.5, 0.0], [2.0, 1.0, 0.1], [0.0; 3]]);
     }
 }

@@ -138,6 +138,14 @@ pub fn resolve_sources(
     fusion.complete(backend, &mut |i| photo(&views[i], progress), radiance, Some(tbl))
 }
 
+/// What is known of light sources once they are told from what is beside them.
+struct Separated {
+    /// The mean over the channels above which a texel is a source.
+    limit: f32,
+    /// Texels beside sources that are none.
+    beside: Vec<usize>,
+}
+
 /// What the views are fused into, and how.
 struct Fusion<'a> {
     scene: &'a Scene,
@@ -149,7 +157,8 @@ struct Fusion<'a> {
 
 impl Fusion<'_> {
     /// The TBL from the radiance of the texels that are seen: light sources are separated from what is beside them, and what
-    /// is not seen is filled, as in `given` where that filled it.
+    /// is not seen is filled, as in `given` where that filled it. Light sources are not: what is filled may have taken their
+    /// light for the ceiling's behind them.
     fn complete(
         &self,
         backend: &mut dyn Backend,
@@ -158,14 +167,16 @@ impl Fusion<'_> {
         given: Option<&Tbl>,
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
-        let limit = self.separate_sources(backend, load, &mut radiance)?;
+        let Separated { limit, beside } = self.separate_sources(backend, load, &mut radiance)?;
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
-            let filled = |tbl: &&Tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted;
-            *radiance = given.filter(filled).map(|tbl| tbl.radiance.data[t as usize]);
+            let filled = given.filter(|tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted);
+            *radiance = filled.map(|tbl| tbl.radiance.data[t as usize]).filter(|&value| inpaint::mean(value) <= limit);
         }
         let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
-        unseen::shine(&scene.mesh, atlas, limit, &seen, &mut radiance);
+        let mut known = seen.clone();
+        beside.into_iter().for_each(|texel| known[texel] = true);
+        unseen::shine(&scene.mesh, atlas, limit, &known, &mut radiance);
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
             radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
@@ -205,14 +216,13 @@ impl Fusion<'_> {
     }
 
     /// Light sources get the radiance that explains the pixels, and what is beside them is blended anew without the pixels
-    /// that mix the two; it counts as unseen where there are no others. Returns the mean over
-    /// the channels above which a texel is a source.
+    /// that mix the two; it counts as unseen where there are no others.
     fn separate_sources(
         &self,
         backend: &mut dyn Backend,
         load: &mut dyn FnMut(usize) -> Result<Photo>,
         radiance: &mut [Option<[f32; 3]>],
-    ) -> Result<f32> {
+    ) -> Result<Separated> {
         let found = sources::resolve(self, backend, load, radiance)?;
         let mut beside = Vec::new();
         for (&texel, &resolved) in found.texels.iter().zip(&found.radiance) {
@@ -227,10 +237,10 @@ impl Fusion<'_> {
             Ok(photo)
         };
         let points: Vec<SurfacePoint> = beside.iter().map(|&i| self.atlas.points[i]).collect();
-        for (i, blended) in beside.into_iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {
+        for (&i, blended) in beside.iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {
             radiance[i] = blended;
         }
-        Ok(found.limit)
+        Ok(Separated { limit: found.limit, beside })
     }
 }
 

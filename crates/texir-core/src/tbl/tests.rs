@@ -325,6 +325,74 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
 }
 
 #[test]
+fn what_others_filled_with_a_lamps_light_is_filled_anew() {
+    let scene = Scene::new(room()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("view.exr");
+    let camera = pinhole(ROOM / 2.0, Vec3::new(4.0, 1.5, 1.0));
+    crate::image_io::write_rgb(&path, &photograph(&scene, &camera, |_, _| [0.5; 3])).unwrap();
+    let view = View::new("view".into(), camera, crate::capture::Split::Train, path);
+    let seen = fuse_images(&scene, &[camera], &[view.load_image(&Silent).unwrap()], &TblOptions::default());
+    // What the view does not see was filled by someone else: dimly in one half of the room, with a lamp's light in the other.
+    let mut given = seen.clone();
+    let dim = |p: Vec3| p.y < 1.5;
+    for (&t, point) in atlas.texels.iter().zip(&atlas.points) {
+        if given.coverage.data[t as usize] == Coverage::Inpainted {
+            given.radiance.data[t as usize] = if dim(point.position.into()) { [0.7; 3] } else { [50.0; 3] };
+        }
+    }
+    let resolved = resolve_sources(&mut backend, &scene, &atlas, &given, &[view], &Silent).unwrap();
+    for (&t, point) in atlas.texels.iter().zip(&atlas.points) {
+        if resolved.coverage.data[t as usize] == Coverage::Inpainted {
+            let [got, ..] = resolved.radiance.data[t as usize];
+            match dim(point.position.into()) {
+                true => assert_eq!(got, 0.7),
+                false => assert!((0.499..0.701).contains(&got), "filled with {got}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn what_pixels_show_to_be_dark_does_not_shine_although_no_texel_of_it_is_seen() {
+    // A window pane on a wall, and a reveal that stands out 20 cm at its right, seen at angles that are not blended.
+    let mut mesh = room();
+    mesh.triangles.truncate(8);
+    mesh.positions.truncate(16);
+    mesh.normals.truncate(16);
+    mesh.uvs.truncate(16);
+    let corner = Vec3::new(3.9, 1.0, 0.8);
+    quad(&mut mesh, 4, corner, Vec3::Z, Vec3::Y);
+    quad(&mut mesh, 5, corner + Vec3::Y, Vec3::Z, -0.2 * Vec3::X);
+    let scene = Scene::new(mesh).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let pane = |p: Vec3| (p.x - 3.9).abs() < 1e-3 && p.y < 2.0;
+    let cameras = [[1.2, 1.4], [1.5, 1.6], [0.8, 1.5], [1.4, 1.3]].map(|[x, y]| Camera {
+        width: 128,
+        height: 64,
+        ..panorama(Vec3::new(x, y, 1.3), x)
+    });
+    let shine = |p: Vec3, _: Vec3| if pane(p) { [20.0; 3] } else { [0.5; 3] };
+    let images = cameras.map(|camera| filtered_photograph(&scene, &camera, shine));
+    let options = TblOptions { min_cosine: 0.5, ..TblOptions::default() };
+    let tbl = fuse_images(&scene, &cameras, &images, &options);
+    let texels = |face: u32| {
+        let of_face = move |(_, point): &(&u32, &SurfacePoint)| point.triangle / 2 == face;
+        atlas.texels.iter().zip(&atlas.points).filter(of_face).map(|(&t, _)| t as usize)
+    };
+    let mean = |radiance: Vec<f32>| radiance.iter().sum::<f32>() / radiance.len() as f32;
+    let of_pane = mean(texels(4).map(|t| tbl.radiance.data[t][0]).collect());
+    assert!((of_pane / 20.0 - 1.0).abs() < 0.05, "the pane shines with {of_pane}");
+    let unseen: Vec<usize> = texels(5).filter(|&t| tbl.coverage.data[t] == Coverage::Inpainted).collect();
+    assert!(unseen.len() > texels(5).count() / 2, "{} texels of the reveal are unseen", unseen.len());
+    let of_reveal = mean(unseen.iter().map(|&t| tbl.radiance.data[t][0]).collect());
+    assert!(of_reveal < 1.0, "the reveal shines with {of_reveal}");
+}
+
+#[test]
 fn the_gutter_repeats_the_chart_and_counts_as_outside() {
     let scene = Scene::new(room()).unwrap();
     let camera = panorama(ROOM / 2.0, 0.0);
