@@ -15,6 +15,8 @@ pub(crate) mod shown;
 mod sources;
 mod unseen;
 
+use std::collections::HashMap;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -75,6 +77,9 @@ impl TblOptions {
     }
 }
 
+/// Pixels' worth of a triangle that must be shown dark for it to be known as no source: of the back of a lampshade, pixels at
+/// the rim may show a hundredth, and be mistaken in it.
+const EVIDENT: f32 = 0.05;
 /// Texels that are worked on at a time: 80 MB of observations.
 const BAND: usize = 1 << 18;
 
@@ -142,8 +147,8 @@ pub fn resolve_sources(
 struct Separated {
     /// The mean over the channels above which a texel is a source.
     limit: f32,
-    /// Texels beside sources that are none.
-    beside: Vec<usize>,
+    /// Texels beside sources that pixels show to be none.
+    dark: Vec<usize>,
 }
 
 /// What the views are fused into, and how.
@@ -167,7 +172,7 @@ impl Fusion<'_> {
         given: Option<&Tbl>,
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
-        let Separated { limit, beside } = self.separate_sources(backend, load, &mut radiance)?;
+        let Separated { limit, dark } = self.separate_sources(backend, load, &mut radiance)?;
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
             let filled = given.filter(|tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted);
@@ -175,7 +180,7 @@ impl Fusion<'_> {
         }
         let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
         let mut known = seen.clone();
-        beside.into_iter().for_each(|texel| known[texel] = true);
+        dark.into_iter().for_each(|texel| known[texel] = true);
         unseen::shine(&scene.mesh, atlas, limit, &known, &mut radiance);
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
@@ -225,22 +230,28 @@ impl Fusion<'_> {
     ) -> Result<Separated> {
         let found = sources::resolve(self, backend, load, radiance)?;
         let mut beside = Vec::new();
-        for (&texel, &resolved) in found.texels.iter().zip(&found.radiance) {
-            match inpaint::mean(resolved) > found.limit {
-                true => radiance[texel as usize] = Some(resolved),
-                false => beside.push(texel as usize),
+        let triangle = |texel: usize| self.atlas.points[texel].triangle;
+        let mut dark_parts: HashMap<u32, f32> = HashMap::new();
+        for ((&texel, &resolved), &shown) in found.texels.iter().zip(&found.radiance).zip(&found.shown) {
+            let texel = texel as usize;
+            if inpaint::mean(resolved) > found.limit {
+                radiance[texel] = Some(resolved);
+            } else {
+                beside.push(texel);
+                *dark_parts.entry(triangle(texel)).or_default() += shown;
             }
         }
+        let dark = beside.iter().copied().filter(|&texel| dark_parts[&triangle(texel)] > EVIDENT).collect();
         let mut load_unmixed = |view: usize| {
             let mut photo = load(view)?;
             found.mixed[view].iter().for_each(|&pixel| photo.image.data[pixel] = [f32::NAN; 3]);
             Ok(photo)
         };
         let points: Vec<SurfacePoint> = beside.iter().map(|&i| self.atlas.points[i]).collect();
-        for (&i, blended) in beside.iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {
+        for (i, blended) in beside.into_iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {
             radiance[i] = blended;
         }
-        Ok(Separated { limit: found.limit, beside })
+        Ok(Separated { limit: found.limit, dark })
     }
 }
 

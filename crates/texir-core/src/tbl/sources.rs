@@ -44,6 +44,8 @@ const NONE: u32 = u32::MAX;
 pub(super) struct Surroundings {
     /// The texels of light sources and around them that pixels show.
     pub texels: Vec<u32>,
+    /// How many pixels' worth of each of them the pixels show.
+    pub shown: Vec<f32>,
     /// Their radiance; above `limit` they are sources.
     pub radiance: Vec<[f32; 3]>,
     /// The mean over the channels above which a texel is a light source.
@@ -95,6 +97,8 @@ pub(super) fn resolve(
     let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
     let rows = Rows::from_lists(std::mem::take(&mut pixels.shares));
     let radiance = explain(&rows, &pixels.radiance, &start);
+    let mut shown = vec![0.0; texels.len()];
+    rows.taps.iter().for_each(|tap| shown[tap.texel as usize] += tap.weight);
 
     let sum = |row: usize, least: f32| -> f32 {
         let shown = rows.row(row).iter().map(|tap| (mean(radiance[tap.texel as usize]), tap.weight));
@@ -106,7 +110,7 @@ pub(super) fn resolve(
             mixed[view].push(pixel);
         }
     }
-    Ok(Surroundings { texels, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
+    Ok(Surroundings { texels, shown, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
 }
 
 /// The pixel at continuous coordinates and its eight neighbours.
