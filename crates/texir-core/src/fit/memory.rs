@@ -34,8 +34,8 @@ pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u
     ByteSize((width * height) as u64 * texel + pixels * pixel + triangles as u64 * TRIANGLE)
 }
 
-/// The views as the fit reads them: reduced alike so far that they have at most four pixels per texel, and that the fit
-/// keeps to `settings.max_memory`. Errors when the textures alone exceed it.
+/// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the fit
+/// keeps to `settings.max_memory`; as many of them a step less far as that allows. Errors when the textures alone exceed it.
 pub fn affordable(
     views: &[View],
     (mesh, atlas): (&Mesh, &Atlas),
@@ -58,12 +58,6 @@ pub fn affordable(
     if factor == 1 {
         return Ok(views.to_vec());
     }
-    let why = if allowed < useful { format!("max_memory is {limit}") } else { "the atlas holds no more detail".into() };
-    progress.warn(&format!(
-        "the views are read at 1/{factor} of their width and height: {:.1} M pixels of {:.1} M, as {why}",
-        pixels as f64 / (factor * factor) as f64 / 1e6,
-        pixels as f64 / 1e6
-    ));
     let reduced = |view: &View| {
         (factor..factor + TRIES).find_map(|factor| view.reduced(factor)).ok_or_else(|| {
             let (width, height) = (view.camera.width, view.camera.height);
@@ -76,7 +70,37 @@ pub fn affordable(
             )
         })
     };
-    views.iter().map(reduced).collect()
+    let mut read: Vec<View> = views.iter().map(reduced).collect::<Result<_>>()?;
+    let mut left = allowed.saturating_sub(read.iter().map(|view| view.camera.pixels() as u64).sum());
+    let mut finer = 0;
+    for i in spread(views.len()) {
+        let Some(view) = views[i].reduced(factor - 1) else { continue };
+        let more = (view.camera.pixels() as u64).saturating_sub(read[i].camera.pixels() as u64);
+        if more <= left {
+            left -= more;
+            finer += 1;
+            read[i] = view;
+        }
+    }
+    let why = if allowed < useful { format!("max_memory is {limit}") } else { "the atlas holds no more detail".into() };
+    let all = read.iter().map(|view| view.camera.pixels() as u64).sum::<u64>();
+    progress.warn(&format!(
+        "{} of the {} views are read at 1/{factor} of their width and height, {finer} at 1/{}: {:.1} M pixels of {:.1} M, as {why}",
+        views.len() - finer,
+        views.len(),
+        factor - 1,
+        all as f64 / 1e6,
+        pixels as f64 / 1e6
+    ));
+    Ok(read)
+}
+
+/// All of `0..count` in an order whose first few are spread over the whole: by the fractions of multiples of the golden section.
+fn spread(count: usize) -> Vec<usize> {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by(|a, b| (*a as f64 * GOLDEN).fract().total_cmp(&(*b as f64 * GOLDEN).fract()));
+    order
 }
 
 #[cfg(test)]
@@ -125,7 +149,10 @@ mod tests {
         let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, 2);
         assert!(affordable(&views, place, &at(all), &Silent).unwrap().iter().all(|v| v.reduction == 1));
         let most = affordable(&views, place, &at(ByteSize(all.0 - 1)), &Silent).unwrap();
-        assert!(most.iter().all(|v| v.reduction == 2));
+        assert_eq!(most.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 1, 1, 2, 1]);
+        let half = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 88, 2);
+        let some = affordable(&views, place, &at(half), &Silent).unwrap();
+        assert_eq!(some.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 2, 1, 2, 2]);
         let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
         assert!(none.contains("max_memory") && none.contains("atlas_size"), "{none}");
     }
