@@ -84,11 +84,15 @@ pub fn affordable(
     }
     let why = if allowed < useful { format!("max_memory is {limit}") } else { "the atlas holds no more detail".into() };
     let all = read.iter().map(|view| view.camera.pixels() as u64).sum::<u64>();
+    let others = match (finer, factor) {
+        (0, _) => String::new(),
+        (_, 2) => ", the others whole".into(),
+        _ => format!(", the others at 1/{}", factor - 1),
+    };
     progress.warn(&format!(
-        "{} of the {} views are read at 1/{factor} of their width and height, {finer} at 1/{}: {:.1} M pixels of {:.1} M, as {why}",
+        "{} of the {} views are read at 1/{factor} of their width and height{others}: {:.1} M pixels of {:.1} M, as {why}",
         views.len() - finer,
         views.len(),
-        factor - 1,
         all as f64 / 1e6,
         pixels as f64 / 1e6
     ));
