@@ -8,8 +8,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::capture::{Capture, Split, View};
+use crate::capture::{Capture, Split, Truth, View};
 use crate::error::Result;
+use crate::image_io::{read_gray, read_rgb};
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
@@ -157,12 +158,11 @@ pub fn evaluate(
     progress: &dyn Progress,
     show: &mut dyn FnMut(&Evaluated<'_>),
 ) -> Result<Evaluation> {
-    let truth = capture.truth.as_ref().map(|truth| Textures {
-        albedo: truth.albedo.clone(),
-        roughness: truth.roughness.clone(),
-        metallic: None,
-        ..textures.clone()
-    });
+    let true_textures = |truth: &Truth| -> Result<Textures> {
+        let (albedo, roughness) = (read_rgb(&truth.albedo)?, read_gray(&truth.roughness)?);
+        Ok(Textures { albedo, roughness, metallic: None, ..textures.clone() })
+    };
+    let truth = capture.truth.as_ref().map(true_textures).transpose()?;
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
     progress.start("evaluating", rays, "rays");
     let mut result = Subject::new(renderer, capture, textures, progress)?;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{Capture, LoadOptions, Split, Tbl, Truth, View, import, nerfstudio};
 use crate::error::{Error, Result};
-use crate::image_io::{read_gray, read_rgb, read_size, sanitise_radiance};
+use crate::image_io::{check_whole, read_rgb, read_size, sanitise_radiance};
 use crate::mesh::Mesh;
 use crate::mesh_io::{atlas_report, read_mesh};
 use crate::progress::Progress;
@@ -18,7 +18,7 @@ const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
 pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
-/// `roughness_tex.exr`, `emission_tex.exr` where they exist. Views stay on disk; their files are checked to be there, whole
+/// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh and the HDR texture stays on disk; files are checked to be there, whole
 /// and of the right size.
 ///
 /// What can be worked with is warned about; what cannot is an error that names the file and the field.
@@ -67,7 +67,7 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
         None => None,
     };
     let truth = match (existing("albedo_tex.exr"), existing("roughness_tex.exr")) {
-        (Some(albedo), Some(roughness)) => Some(read_truth(&albedo, &roughness)?),
+        (Some(albedo), Some(roughness)) => Some(truth(albedo, roughness)?),
         (None, None) => None,
         (Some(one), None) | (None, Some(one)) => {
             progress.warn(&format!(
@@ -77,17 +77,8 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
             None
         }
     };
-    let emission = match existing("emission_tex.exr") {
-        Some(path) => {
-            let mut emission = read_rgb(&path)?;
-            let found = sanitise_radiance(&mut emission);
-            if !found.is_clean() {
-                progress.warn(&format!("{}: {found}", path.display()));
-            }
-            Some(emission)
-        }
-        None => None,
-    };
+    let emission = existing("emission_tex.exr");
+    emission.iter().try_for_each(|path| check_whole(path))?;
     Ok(Capture { root, mesh_path, mesh, views, tbl, truth, emission })
 }
 
@@ -141,13 +132,14 @@ fn warn_about_positions(root: &Path, views: &[View], mesh: &Mesh, progress: &dyn
     }
 }
 
-fn read_truth(albedo: &Path, roughness: &Path) -> Result<Truth> {
-    let (of_albedo, of_roughness) = (read_size(albedo)?, read_size(roughness)?);
+fn truth(albedo: PathBuf, roughness: PathBuf) -> Result<Truth> {
+    let (of_albedo, of_roughness) = (read_size(&albedo)?, read_size(&roughness)?);
     if of_albedo != of_roughness {
         return Err(Error::file(
-            roughness,
+            &roughness,
             format!("is {of_roughness:?} texels; expected {of_albedo:?}, as {} has", albedo.display()),
         ));
     }
-    Ok(Truth { albedo: read_rgb(albedo)?, roughness: read_gray(roughness)? })
+    [&albedo, &roughness].into_iter().try_for_each(|path| check_whole(path))?;
+    Ok(Truth { albedo, roughness })
 }

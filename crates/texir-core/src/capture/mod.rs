@@ -20,7 +20,7 @@ pub use self::load::load;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::mesh::Mesh;
-use crate::raster::{Gray, Raster, Rgb};
+use crate::raster::{Raster, Rgb};
 
 /// What a view is used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -84,13 +84,13 @@ pub enum Coverage {
     Outside,
 }
 
-/// Ground-truth textures in the capture's atlas, where there are any.
+/// Ground-truth textures in the capture's atlas, where there are any. They are read when asked for: a fit does without.
 #[derive(Clone, Debug)]
 pub struct Truth {
     /// Linear albedo.
-    pub albedo: Rgb,
+    pub albedo: PathBuf,
     /// Perceptual roughness.
-    pub roughness: Gray,
+    pub roughness: PathBuf,
 }
 
 /// A capture folder, validated.
@@ -109,7 +109,7 @@ pub struct Capture {
     /// Ground-truth textures, when given.
     pub truth: Option<Truth>,
     /// Known emission per texel, when given.
-    pub emission: Option<Rgb>,
+    pub emission: Option<PathBuf>,
 }
 
 /// Overrides of what is found in the folder.

@@ -11,7 +11,7 @@ use crate::camera::Projection;
 use crate::image_io::{write_gray, write_png_labels, write_png_mask, write_rgb};
 use crate::mesh_io::obj;
 use crate::progress::{Progress, Silent};
-use crate::raster::{Labels, Mask};
+use crate::raster::{Gray, Labels, Mask};
 
 /// Collects warnings.
 #[derive(Default)]
@@ -159,8 +159,8 @@ fn textures_of_the_folder_are_found_and_overridden() {
     write_gray(root.join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
     write_rgb(root.join("hdr_texture.exr"), &texels).unwrap();
     let capture = load_warned(&folder).0.unwrap();
-    assert_eq!(capture.truth.unwrap().albedo, texels);
-    assert_eq!(capture.emission.unwrap(), texels);
+    assert_eq!(capture.truth.unwrap().albedo, root.join("albedo_tex.exr"));
+    assert_eq!(capture.emission.unwrap(), root.join("emission_tex.exr"));
     let tbl = capture.tbl.unwrap();
     assert_eq!(tbl.coverage.data, [Coverage::Seen, Coverage::Outside], "without a mask, light tells");
 

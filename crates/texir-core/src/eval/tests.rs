@@ -85,13 +85,16 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
             roughness: Some(file("roughness.exr")),
         }
     });
+    let truth = Truth { albedo: folder.join("albedo_tex.exr"), roughness: folder.join("roughness_tex.exr") };
+    write_rgb(&truth.albedo, &textures.albedo).unwrap();
+    write_gray(&truth.roughness, &textures.roughness).unwrap();
     Capture {
         root: folder.to_owned(),
         mesh_path: folder.join("mesh.obj"),
         mesh: scene.mesh.clone(),
         views: views.to_vec(),
         tbl: None,
-        truth: Some(Truth { albedo: textures.albedo.clone(), roughness: textures.roughness.clone() }),
+        truth: Some(truth),
         emission: None,
     }
 }

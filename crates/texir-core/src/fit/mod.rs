@@ -48,12 +48,8 @@ pub struct Ground<'a> {
     pub radiance: &'a Rgb,
     /// Its light sources, as sampled.
     pub lights: &'a Lights,
-    /// E per texel.
-    pub irradiance: &'a Rgb,
     /// Texels that are light sources.
     pub emitters: &'a Mask,
-    /// The texture-based lighting where they are, 0 elsewhere.
-    pub emission: &'a Rgb,
     /// Rooms, for views that bring none.
     pub plan: &'a FloorPlan,
     /// Seed of the run.
@@ -142,8 +138,7 @@ pub fn fit(
 
     let light = (&tbl, &irradiance);
     let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
-    let emission = Raster { data: masked(&tbl.radiance.data, &emitters.data), ..tbl.radiance };
-    if emission.data.iter().all(|e| *e == [0.0; 3]) {
+    if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
         return Err(Error::invalid(
             "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
              Check the exposure of the images, or lower the setting emitter_ratio",
@@ -155,19 +150,17 @@ pub fn fit(
         adjacency: &adjacency,
         radiance: &tbl.radiance,
         lights: &lights,
-        irradiance: &irradiance,
         emitters: &emitters,
-        emission: &emission,
         plan: &plan,
         seed: settings.seed,
         checkpoints,
     };
     let training = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
     let materials = match settings.mode {
-        Mode::Paper => paper::fit(backend, &ground, &training, settings, progress, log)?,
-        Mode::Full => full::fit(backend, &ground, &training, &settings.full, progress)?,
+        Mode::Paper => paper::fit(backend, &ground, irradiance, &training, settings, progress, log)?,
+        Mode::Full => full::fit(backend, &ground, irradiance, &training, &settings.full, progress)?,
     };
-    let emission = emitted(&emission, &materials);
+    let emission = emitted((&tbl.radiance, &emitters), &materials);
     let Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence } = materials;
     let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
     timings.mark("materials");
@@ -199,20 +192,21 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
     Ok(format!("texir {version}\n{name}\ncapture {captured:016x}\n{settings:?}\n"))
 }
 
-fn masked(values: &[[f32; 3]], mask: &[bool]) -> Vec<[f32; 3]> {
-    values.iter().zip(mask).map(|(&v, &m)| if m { v } else { [0.0; 3] }).collect()
+/// What leaves light sources, `radiance` where `emitters` are, and 0 elsewhere; by texel.
+fn emission(radiance: &Rgb, emitters: &Mask) -> impl Iterator<Item = [f32; 3]> {
+    radiance.data.iter().zip(&emitters.data).map(|(&l, &is_source)| if is_source { l } else { [0.0; 3] })
 }
 
-/// What light sources emit: what leaves them, `outgoing`, less the a E/π that they reflect.
-fn emitted(outgoing: &Rgb, materials: &Materials) -> Rgb {
-    let of_texel = |t: usize| -> [f32; 3] {
+/// What light sources emit: what leaves them less the a E/π that they reflect.
+fn emitted((radiance, emitters): (&Rgb, &Mask), materials: &Materials) -> Rgb {
+    let of_texel = |(t, outgoing): (usize, [f32; 3])| -> [f32; 3] {
         let diffuse = 1.0 - materials.metallic.as_ref().map_or(0.0, |map| map.data[t]);
         let (albedo, irradiance) = (&materials.albedo.data[t], &materials.irradiance.data[t]);
         std::array::from_fn(|c| {
-            (outgoing.data[t][c] - diffuse * albedo[c] * irradiance[c] * std::f32::consts::FRAC_1_PI).max(0.0)
+            (outgoing[c] - diffuse * albedo[c] * irradiance[c] * std::f32::consts::FRAC_1_PI).max(0.0)
         })
     };
-    Raster { data: (0..outgoing.data.len()).map(of_texel).collect(), ..*outgoing }
+    Raster { data: emission(radiance, emitters).enumerate().map(of_texel).collect(), ..*radiance }
 }
 
 /// A stopwatch that names its laps.
@@ -236,8 +230,7 @@ mod tests {
     #[test]
     fn what_a_lamp_reflects_is_not_emitted() {
         let map = |value: [f32; 3]| Rgb::filled(3, 1, value);
-        let mut outgoing = map([2.0, 1.0, 0.1]);
-        outgoing.data[2] = [0.0; 3];
+        let emitters = Mask { width: 3, height: 1, data: vec![true, true, false] };
         let materials = Materials {
             albedo: map([0.5; 3]),
             roughness: Gray::filled(3, 1, 0.5),
@@ -248,6 +241,9 @@ mod tests {
             confidence: None,
         };
         // Half of the irradiance; nothing of a metal's; never less than nothing.
-        assert_eq!(emitted(&outgoing, &materials).data, [[1.5, 0.5, 0.0], [2.0, 1.0, 0.1], [0.0; 3]]);
+        assert_eq!(
+            emitted((&map([2.0, 1.0, 0.1]), &emitters), &materials).data,
+            [[1.5, 0.5, 0.0], [2.0, 1.0, 0.1], [0.0; 3]]
+        );
     }
 }

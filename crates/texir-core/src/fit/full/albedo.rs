@@ -8,7 +8,9 @@
 //! mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs (iteratively
 //! re-weighted least squares).
 
-use glam::Vec3A;
+use std::f32::consts::{FRAC_1_PI, PI};
+
+use glam::{Vec3A, Vec4};
 use rayon::prelude::*;
 
 use super::observations::Observations;
@@ -18,6 +20,7 @@ use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
 use crate::specular_table::{Curve, node};
+use crate::texture::Tap;
 
 /// Items per task of a parallel loop.
 const BLOCK: usize = 4096;
@@ -48,13 +51,19 @@ impl Roughness<'_> {
     }
 }
 
-/// What the pixels say about albedo at some roughness: gain_p Σ_t w_t s_t a_t = albedo_p, where s_t is the texel's
+/// What the pixels say about albedo at some roughness: κ_p π/E_p Σ_t w_t s_t a_t = albedo_p, where s_t is the texel's
 /// [`AlbedoProblem::strength`].
 pub struct Target {
     /// Right-hand sides, as albedos.
     pub albedo: Vec<Vec3A>,
-    /// Factors of the rows; 0 for a pixel that says nothing.
-    gain: Vec<Vec3A>,
+    /// κ: 1/π for a dielectric, 0 for a pixel that says nothing. Empty where all are dielectrics.
+    scale: Vec<Vec3A>,
+}
+
+impl Target {
+    fn scale(&self, pixel: usize) -> Vec3A {
+        self.scale.get(pixel).copied().unwrap_or(Vec3A::splat(FRAC_1_PI))
+    }
 }
 
 /// The problem, apart from roughness.
@@ -92,40 +101,27 @@ impl<'a> AlbedoProblem<'a> {
         // A pixel in complete darkness says nothing: its weight vanishes with E.
         let bright = irradiance.iter().map(|e| e.max_element()).fold(0.0, f32::max);
         let floor = Vec3A::splat((1e-6 * bright).max(f32::MIN_POSITIVE));
-        problem.per_irradiance =
-            problem.looked_up(irradiance).into_par_iter().map(|e| std::f32::consts::PI / e.max(floor)).collect();
+        let per_irradiance = |p| {
+            let e: Vec3A = seen.rows.row(p).iter().map(|tap| irradiance[tap.texel as usize] * tap.weight).sum();
+            PI / e.max(floor)
+        };
+        problem.per_irradiance = (0..seen.len()).into_par_iter().with_min_len(BLOCK).map(per_irradiance).collect();
         problem
-    }
-
-    /// The mean of a texel quantity over each pixel's footprint.
-    pub fn looked_up(&self, texels: &[Vec3A]) -> Vec<Vec3A> {
-        (0..self.seen.len())
-            .into_par_iter()
-            .with_min_len(BLOCK)
-            .map(|p| self.seen.rows.row(p).iter().map(|tap| texels[tap.texel as usize] * tap.weight).sum())
-            .collect()
     }
 
     /// What the views say without any solving: the mean over each texel's pixels of I π/E, 0 to 1; segment means elsewhere.
     pub fn start(&self) -> Vec<Vec3A> {
-        let apparent: Vec<Vec3A> = self.apparent();
-        let mut albedo: Vec<Option<Vec3A>> = (0..self.irradiance.len())
-            .into_par_iter()
-            .map(|t| {
-                let taps = self.seen.columns.row(t);
-                let weight: f32 = taps.iter().map(|tap| tap.weight).sum();
-                let sum: Vec3A = taps.iter().map(|tap| apparent[tap.texel as usize] * tap.weight).sum();
-                (weight > 0.0).then(|| sum / weight)
-            })
-            .collect();
-        let means = self.segment_means(|t| albedo[t]);
-        albedo.iter_mut().zip(self.segment.0).map(|(a, s)| a.unwrap_or(means[*s as usize])).collect()
-    }
-
-    /// I π/E of each pixel, 0 to 1.
-    fn apparent(&self) -> Vec<Vec3A> {
-        let limit = |(i, per): (&Vec3A, &Vec3A)| (*i * *per).clamp(Vec3A::ZERO, Vec3A::ONE);
-        self.seen.radiance.par_iter().zip(&self.per_irradiance).map(limit).collect()
+        let apparent = |p: usize| (self.seen.radiance[p] * self.per_irradiance[p]).clamp(Vec3A::ZERO, Vec3A::ONE);
+        // The sum of the weights comes last.
+        let sums = self.seen.bands.sum(
+            &self.seen.rows,
+            Vec4::ZERO,
+            |p| apparent(p).extend(1.0),
+            |sum, tap, apparent| *sum += *apparent * tap.weight,
+        );
+        let mean = |t: usize| (sums[t].w > 0.0).then(|| Vec3A::from_vec4(sums[t]) / sums[t].w);
+        let means = self.segment_means(mean);
+        (0..sums.len()).zip(self.segment.0).map(|(t, s)| mean(t).unwrap_or(means[*s as usize])).collect()
     }
 
     fn segment_means(&self, value: impl Fn(usize) -> Option<Vec3A>) -> Vec<Vec3A> {
@@ -144,35 +140,35 @@ impl<'a> AlbedoProblem<'a> {
 
     /// What each pixel says at the roughness that its surface has. One that sees metal and something else says nothing.
     pub fn target(&self, roughness: &Roughness<'_>) -> Target {
-        let (albedo, gain) = (0..self.seen.len())
-            .into_par_iter()
-            .with_min_len(BLOCK)
-            .map(|p| {
-                let (r, per) = (roughness.of(p), self.per_irradiance[p]);
-                let specular = roughness.along(self.seen.curve(p), p);
-                match self.is_metal(p) {
-                    Some(false) => {
-                        let factor = self.diffuse.factor(self.seen.cosine[p], r);
-                        ((self.seen.radiance[p] - specular) * per / factor, per * std::f32::consts::FRAC_1_PI)
-                    }
-                    Some(true) => {
-                        let f0 = DIELECTRIC_F0 as f32;
-                        let scale = (roughness.along(self.seen.white_curve(p), p) - specular) / (1.0 - f0);
-                        let grazing = specular - f0 * scale;
-                        ((self.seen.radiance[p] - grazing) * per, scale * per)
-                    }
-                    None => (Vec3A::ZERO, Vec3A::ZERO),
+        let all = (0..self.seen.len()).into_par_iter().with_min_len(BLOCK);
+        if self.metal.is_empty() {
+            return Target { albedo: all.map(|p| self.diffuse_albedo(roughness, p)).collect(), scale: Vec::new() };
+        }
+        let (albedo, scale) = all
+            .map(|p| match self.is_metal(p) {
+                Some(false) => (self.diffuse_albedo(roughness, p), Vec3A::splat(FRAC_1_PI)),
+                Some(true) => {
+                    let f0 = DIELECTRIC_F0 as f32;
+                    let specular = roughness.along(self.seen.curve(p), p);
+                    let scale = (roughness.along(self.seen.white_curve(p), p) - specular) / (1.0 - f0);
+                    let grazing = specular - f0 * scale;
+                    ((self.seen.radiance[p] - grazing) * self.per_irradiance[p], scale)
                 }
+                None => (Vec3A::ZERO, Vec3A::ZERO),
             })
             .unzip();
-        Target { albedo, gain }
+        Target { albedo, scale }
+    }
+
+    /// What a pixel says of a dielectric's albedo.
+    fn diffuse_albedo(&self, roughness: &Roughness<'_>, pixel: usize) -> Vec3A {
+        let specular = roughness.along(self.seen.curve(pixel), pixel);
+        let factor = self.diffuse.factor(self.seen.cosine[pixel], roughness.of(pixel));
+        (self.seen.radiance[pixel] - specular) * self.per_irradiance[pixel] / factor
     }
 
     /// Whether a pixel sees metal; `None` for one that sees both.
     fn is_metal(&self, pixel: usize) -> Option<bool> {
-        if self.metal.is_empty() {
-            return Some(false);
-        }
         let mut seen = self.seen.rows.row(pixel).iter().map(|tap| self.metal[tap.texel as usize]);
         let first = seen.next().unwrap_or(false);
         seen.all(|metal| metal == first).then_some(first)
@@ -183,21 +179,25 @@ impl<'a> AlbedoProblem<'a> {
         if self.metal.get(texel) == Some(&true) { Vec3A::ONE } else { self.irradiance[texel] }
     }
 
-    /// The left-hand sides.
-    fn explained(&self, albedo: &[Vec3A], gain: &[Vec3A]) -> Vec<Vec3A> {
-        let radiosity: Vec<Vec3A> =
-            albedo.par_iter().enumerate().with_min_len(BLOCK).map(|(t, a)| *a * self.strength(t)).collect();
-        (self.looked_up(&radiosity), gain).into_par_iter().map(|(b, gain)| b * *gain).collect()
+    /// A pixel's factor κ π/E.
+    fn gain(&self, target: &Target, pixel: usize) -> Vec3A {
+        target.scale(pixel) * self.per_irradiance[pixel]
     }
 
-    /// Left-hand sides − targets: the residual of each pixel, in albedo.
-    pub fn residual(&self, albedo: &[Vec3A], target: &Target) -> Vec<Vec3A> {
-        (self.explained(albedo, &target.gain), &target.albedo).into_par_iter().map(|(a, target)| a - *target).collect()
+    /// A pixel's left-hand side.
+    fn explained(&self, albedo: &[Vec3A], target: &Target, pixel: usize) -> Vec3A {
+        let of_tap = |tap: &Tap| albedo[tap.texel as usize] * self.strength(tap.texel as usize) * tap.weight;
+        self.seen.rows.row(pixel).iter().map(of_tap).sum::<Vec3A>() * self.gain(target, pixel)
+    }
+
+    /// Left-hand side − target: the residual of a pixel, in albedo.
+    pub fn residual(&self, albedo: &[Vec3A], target: &Target, pixel: usize) -> Vec3A {
+        self.explained(albedo, target, pixel) - target.albedo[pixel]
     }
 
     /// The colours of the segments, from the texels that are seen.
     pub fn palettes(&self, albedo: &[Vec3A], settings: &PaletteSettings) -> Palettes {
-        let seen = |t: usize| !self.seen.columns.row(t).is_empty();
+        let seen = |t: usize| self.seen.is_seen[t];
         Palettes::find(albedo, self.segment.0, self.segment.1, seen, settings)
     }
 
@@ -210,18 +210,18 @@ impl<'a> AlbedoProblem<'a> {
     /// Improves `albedo` for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
     pub fn solve(&self, albedo: &mut [Vec3A], target: &Target, sigma: &[f32], rounds: u32, iterations: u32) {
         for _ in 0..rounds {
-            let residual = self.residual(albedo, target);
             let base = self.settings.noise;
-            let weight: Vec<f32> = (&residual, sigma)
-                .into_par_iter()
-                .map(|(e, s)| (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2)))
-                .collect();
-            let means = self.segment_means(|t| (!self.seen.columns.row(t).is_empty()).then(|| albedo[t]));
-            let system = System { problem: self, gain: &target.gain, weight, edges: self.edge_weights(albedo) };
-            let mut right = system.transposed(&target.albedo);
+            let weight = |(p, s): (usize, &f32)| {
+                let e = self.residual(albedo, target, p);
+                (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2))
+            };
+            let weight = sigma.par_iter().enumerate().with_min_len(BLOCK).map(weight).collect();
+            let means = self.segment_means(|t| self.seen.is_seen[t].then(|| albedo[t]));
+            let system = System { problem: self, target, weight, edges: self.edge_weights(albedo) };
+            let mut right = system.transposed(|p| target.albedo[p]);
             let prior = self.settings.segment_prior;
             right.par_iter_mut().zip(self.segment.0).for_each(|(r, s)| *r += prior * means[*s as usize]);
-            conjugate_gradients(&system, albedo, &right, iterations);
+            conjugate_gradients(&system, albedo, right, iterations);
             albedo.par_iter_mut().for_each(|a| *a = a.clamp(Vec3A::ZERO, Vec3A::ONE));
         }
     }
@@ -250,8 +250,7 @@ impl<'a> AlbedoProblem<'a> {
 /// The normal equations of one re-weighting: A a = WᵀΩ target + prior.
 struct System<'a> {
     problem: &'a AlbedoProblem<'a>,
-    /// Of the rows.
-    gain: &'a [Vec3A],
+    target: &'a Target,
     /// Ω: per pixel.
     weight: Vec<f32>,
     /// To the right and lower neighbour, per texel.
@@ -260,24 +259,18 @@ struct System<'a> {
 
 impl System<'_> {
     /// Rows to texels: s_t Σ_p w Ω_p gain_p v_p.
-    fn transposed(&self, pixels: &[Vec3A]) -> Vec<Vec3A> {
+    fn transposed(&self, pixel: impl Fn(usize) -> Vec3A + Sync) -> Vec<Vec3A> {
         let p = self.problem;
-        let weighted: Vec<Vec3A> =
-            (pixels, &self.weight, self.gain).into_par_iter().map(|(v, w, gain)| *v * *gain * *w).collect();
-        (0..p.irradiance.len())
-            .into_par_iter()
-            .with_min_len(BLOCK)
-            .map(|t| {
-                let taps = p.seen.columns.row(t);
-                p.strength(t) * taps.iter().map(|tap| weighted[tap.texel as usize] * tap.weight).sum::<Vec3A>()
-            })
-            .collect()
+        let weighted = |i: usize| pixel(i) * p.gain(self.target, i) * self.weight[i];
+        let mut out = p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, tap, v| *sum += *v * tap.weight);
+        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| *out *= p.strength(t));
+        out
     }
 
     /// A x.
     fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
         let p = self.problem;
-        let mut out = self.transposed(&p.explained(x, self.gain));
+        let mut out = self.transposed(|i| p.explained(x, self.target, i));
         out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
             *out += p.settings.segment_prior * x[t];
             for (n, weight) in self.links(t) {
@@ -290,19 +283,16 @@ impl System<'_> {
     /// The diagonal of A.
     fn diagonal(&self) -> Vec<Vec3A> {
         let p = self.problem;
-        (0..p.irradiance.len())
-            .into_par_iter()
-            .with_min_len(BLOCK)
-            .map(|t| {
-                let strength = p.strength(t);
-                let square = |tap: &crate::texture::Tap| {
-                    let row = strength * self.gain[tap.texel as usize] * tap.weight;
-                    row * row * self.weight[tap.texel as usize]
-                };
-                let data: Vec3A = p.seen.columns.row(t).iter().map(square).sum();
-                data + p.settings.segment_prior + self.links(t).map(|(_, weight)| weight).sum::<f32>()
-            })
-            .collect()
+        let of_pixel = |i: usize| (p.gain(self.target, i), self.weight[i]);
+        let add = |sum: &mut Vec3A, tap: &Tap, (gain, weight): &(Vec3A, f32)| {
+            let row = p.strength(tap.texel as usize) * *gain * tap.weight;
+            *sum += row * row * *weight;
+        };
+        let mut out = p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, of_pixel, add);
+        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, data)| {
+            *data = *data + p.settings.segment_prior + self.links(t).map(|(_, weight)| weight).sum::<f32>();
+        });
+        out
     }
 
     /// Neighbours of a texel with their weights.
@@ -316,32 +306,32 @@ impl System<'_> {
 }
 
 /// Jacobi-preconditioned conjugate gradients, the three channels side by side.
-fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], right: &[Vec3A], iterations: u32) {
-    let inverse: Vec<Vec3A> = system.diagonal().into_par_iter().map(|d| 1.0 / d.max(Vec3A::splat(1e-12))).collect();
-    let mut residual: Vec<Vec3A> = (system.apply(x), right).into_par_iter().map(|(a, r)| *r - a).collect();
-    let mut preconditioned: Vec<Vec3A> = (&residual, &inverse).into_par_iter().map(|(r, m)| *r * *m).collect();
-    let mut direction = preconditioned.clone();
-    let mut rho = dot(&residual, &preconditioned);
+fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], right: Vec<Vec3A>, iterations: u32) {
+    let mut inverse = system.diagonal();
+    inverse.par_iter_mut().for_each(|d| *d = 1.0 / d.max(Vec3A::splat(1e-12)));
+    let mut residual = right;
+    (&mut residual, system.apply(x)).into_par_iter().for_each(|(r, a)| *r -= a);
+    let mut direction: Vec<Vec3A> = (&residual, &inverse).into_par_iter().map(|(r, m)| *r * *m).collect();
+    let mut rho = dot(&residual, |i| residual[i] * inverse[i]);
     for _ in 0..iterations {
         let image = system.apply(&direction);
-        let step = ratio(rho, dot(&direction, &image));
+        let step = ratio(rho, dot(&direction, |i| image[i]));
         (&mut *x, &direction).into_par_iter().for_each(|(x, d)| *x += step * *d);
         (&mut residual, &image).into_par_iter().for_each(|(r, a)| *r -= step * *a);
-        (&mut preconditioned, &residual, &inverse).into_par_iter().for_each(|(z, r, m)| *z = *r * *m);
-        let next = dot(&residual, &preconditioned);
+        let next = dot(&residual, |i| residual[i] * inverse[i]);
         let turn = ratio(next, rho);
         rho = next;
-        (&mut direction, &preconditioned).into_par_iter().for_each(|(d, z)| *d = *z + turn * *d);
+        (&mut direction, &residual, &inverse).into_par_iter().for_each(|(d, r, m)| *d = *r * *m + turn * *d);
     }
 }
 
 /// Per channel, summed block by block in a fixed order.
-fn dot(a: &[Vec3A], b: &[Vec3A]) -> [f64; 3] {
-    let partial: Vec<[f64; 3]> = a
-        .par_chunks(BLOCK)
-        .zip(b.par_chunks(BLOCK))
-        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| *a * *b).sum::<Vec3A>().to_array().map(f64::from))
-        .collect();
+fn dot(a: &[Vec3A], b: impl Fn(usize) -> Vec3A + Sync) -> [f64; 3] {
+    let of_block = |(block, a): (usize, &[Vec3A])| {
+        let terms = a.iter().enumerate().map(|(i, a)| *a * b(block * BLOCK + i));
+        terms.sum::<Vec3A>().to_array().map(f64::from)
+    };
+    let partial: Vec<[f64; 3]> = a.par_chunks(BLOCK).enumerate().map(of_block).collect();
     partial.iter().fold([0.0; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c]))
 }
 

@@ -9,12 +9,14 @@ use std::collections::HashMap;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::hidden;
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::capture::View;
 use crate::error::Result;
 use crate::fit::adjacency::Adjacency;
 use crate::mesh::Mesh;
+use crate::progress::Progress;
 use crate::raster::Mask;
 use crate::surface::SurfacePoint;
 use crate::tbl::shown::{Shown, pixels_per_steradian};
@@ -35,6 +37,49 @@ const MAX_ROUNDS: f32 = 24.0;
 const SCARCE: f32 = 0.3;
 /// Texels whose normals' cosine is less do not share votes: classes end at creases.
 const SAME_NORMAL: f32 = 0.9;
+
+/// Labels of every texel, as far as they are known.
+pub struct Labels {
+    /// The flat surface that each texel is part of.
+    pub surface: Vec<u32>,
+    /// Semantic class, as the views voted; `None` where there is no vote around.
+    pub class: Vec<Option<u16>>,
+    /// Room as the capture names them, likewise.
+    pub room: Vec<Option<u16>>,
+}
+
+impl Labels {
+    /// Lets the views vote.
+    pub fn vote(
+        backend: &mut dyn Backend,
+        mesh: &Mesh,
+        (atlas, adjacency): (&Atlas, &Adjacency),
+        views: &[View],
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let has_labels = |v: &&View| v.semantic.is_some() || v.room.is_some() || v.room_id.is_some();
+        progress.start("labels", views.iter().filter(has_labels).count() as u64, "views");
+        let [mut class, mut room] = [Votes::default(), Votes::default()];
+        for view in views.iter().filter(has_labels) {
+            progress.check()?;
+            let (classes, rooms) = (view.load_semantic()?, view.load_room()?);
+            let witnesses = witnesses(backend, mesh, atlas, view, view.load_mask()?.as_ref())?;
+            class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
+            let of_view = view.room_id.unwrap_or(0);
+            room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
+            progress.advance(1);
+        }
+        progress.finish();
+        let surface = hidden::flat_surfaces(atlas, adjacency);
+        let [class, room] = [class, room].map(|votes| votes.count(mesh, atlas, adjacency, &surface));
+        Ok(Self { surface, class, room })
+    }
+
+    /// Whether views have semantic classes.
+    pub fn has_classes(&self) -> bool {
+        self.class.iter().any(Option::is_some)
+    }
+}
 
 /// The pixel of a view that shows a texel.
 pub struct Witness {
@@ -168,7 +213,6 @@ mod tests {
     use std::hash::{DefaultHasher, Hash, Hasher};
     use std::path::PathBuf;
 
-    use super::super::hidden;
     use super::super::segments::spread;
     use super::*;
     use crate::camera::Camera;

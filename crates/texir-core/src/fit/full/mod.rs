@@ -1,9 +1,10 @@
 //! The fit in full mode: light samples drawn once, albedo by robust least squares, roughness by a scan per segment.
 //!
-//! observations → segments → scan (→ metals) → hierarchy → albedo. No ray is traced after the observations.
+//! labels → observations → segments → scan (→ metals) → hierarchy → albedo. No ray is traced after the observations.
 
 pub mod albedo;
 pub mod automatic;
+pub mod bands;
 pub mod blocks;
 pub mod hidden;
 pub mod hierarchy;
@@ -34,51 +35,61 @@ use crate::progress::Progress;
 use crate::raster::Rgb;
 use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
+use labels::Labels;
 use observations::{Observations, Observer};
 use palette::Palettes;
 use segments::Segments;
 
-/// Fits the materials. The backend holds the full TBL and its lights.
+/// Fits the materials. The backend holds the full TBL and its lights; `irradiance` is E per texel.
 pub fn fit(
     backend: &mut dyn Backend,
     ground: &Ground<'_>,
+    irradiance: Rgb,
     training: &[View],
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
     let Ground { scene, atlas, adjacency, emitters, seed, checkpoints, .. } = *ground;
-    let observer = Observer { scene, atlas, adjacency, emitters, settings, seed, checkpoints };
+    let irradiance = of_texels(&irradiance, atlas);
+    let labels = Labels::vote(backend, &scene.mesh, (atlas, adjacency), training, progress)?;
+    let observer = Observer { scene, atlas, emitters, settings, seed, checkpoints };
     let seen = observer.observe(backend, training, progress)?;
-    recover(ground, &seen, settings, progress)
+    recover(ground, &irradiance, labels, &seen, settings, progress)
+}
+
+/// What a map holds at every valid texel.
+fn of_texels(map: &Rgb, atlas: &Atlas) -> Vec<Vec3A> {
+    atlas.texels.iter().map(|&t| map.data[t as usize].into()).collect()
 }
 
 /// Irradiance that is taken for none.
 const DARK: f32 = 1e-6;
 
 /// The materials that explain what is seen.
-pub fn recover(
+fn recover(
     ground: &Ground<'_>,
+    irradiance: &[Vec3A],
+    labels: Labels,
     seen: &Observations,
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
     let Ground { scene, atlas, adjacency, .. } = *ground;
     let texel = atlas.typical_texel(&scene.mesh);
-    let of_texels = |map: &Rgb| -> Vec<Vec3A> { atlas.texels.iter().map(|&t| map.data[t as usize].into()).collect() };
-    let irradiance = of_texels(ground.irradiance);
     let diffuse_albedo = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
-    let apparent = || of_texels(ground.radiance).into_iter().zip(&irradiance).map(diffuse_albedo).collect();
-    let segments = segments::segment((atlas, texel), adjacency, seen, apparent, ground.plan);
-    if !seen.has_classes() {
+    let apparent = || of_texels(ground.radiance, atlas).into_iter().zip(irradiance).map(diffuse_albedo).collect();
+    let segments = segments::segment((atlas, texel), adjacency, &labels, &seen.is_seen, apparent, ground.plan);
+    if !labels.has_classes() {
         progress.warn(&format!(
             "no view has semantic classes: {} segments are made from geometry and colour alone, and surfaces that look alike \
              share their roughness; semantic images tell them apart better",
-            segments.count
+            segments.count()
         ));
     }
-    let segment = (&segments.segment[..], segments.count);
+    drop(labels);
+    let segment = (&segments.segment[..], segments.count());
     let mut problem =
-        AlbedoProblem::new(seen, &irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
+        AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
     let Scanned { diffuse, mut albedo, evidence, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
     let sigma = problem.noise(settings.albedo.image_noise);
@@ -95,9 +106,8 @@ pub fn recover(
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
-    let seen_at_all = |t: usize| !seen.columns.row(t).is_empty();
     let outlier = hidden::outliers(&albedo, segment);
-    let known = |t: usize| seen_at_all(t) && !outlier[t];
+    let known = |t: usize| seen.is_seen[t] && !outlier[t];
     hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
     // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's.
     const MOST: Vec3A = Vec3A::splat(10.0);
@@ -105,12 +115,12 @@ pub fn recover(
         .into_par_iter()
         .map(|t| {
             let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(MOST.recip(), MOST);
-            (irradiance[t] * if seen_at_all(t) { given_up } else { Vec3A::ONE }).to_array()
+            (irradiance[t] * if seen.is_seen[t] { given_up } else { Vec3A::ONE }).to_array()
         })
         .collect();
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
-    let sure = hierarchy::confidence(&evidence, &evidence.segment, segments.count, settings.roughness.segment_pixels);
+    let sure = hierarchy::confidence(&evidence, &evidence.segment, segments.count(), settings.roughness.segment_pixels);
     let confidence: Vec<f32> = segments.segment.iter().map(|&s| sure[s as usize]).collect();
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
     Ok(Materials {
@@ -171,7 +181,7 @@ fn find_metals(
     let mut albedo = problem.start();
     let evidence = scan::scan(problem, "metal", &settings.roughness, &mut albedo, progress)?;
     let pixels = settings.roughness.segment_pixels;
-    let metal = metals::find([&scanned.evidence, &evidence], segments.count, pixels, &settings.metallic);
+    let metal = metals::find([&scanned.evidence, &evidence], segments.count(), pixels, &settings.metallic);
     problem.metal = segments.segment.iter().map(|s| metal[*s as usize]).collect();
     scanned.evidence.take(&evidence, &metal);
     (&mut scanned.albedo, albedo, &problem.metal)
@@ -233,11 +243,8 @@ fn looked_up(seen: &Observations, texels: &[f32]) -> Vec<f32> {
 /// Roughness of every segment: everything → class → class in a room → segment.
 fn roughness(segments: &Segments, evidence: &scan::Evidence, settings: &FullSettings) -> Vec<f32> {
     let s = &settings.roughness;
-    // Any texel of a segment, for what all its texels share.
-    let mut some_texel = vec![0usize; segments.count];
-    segments.segment.iter().enumerate().for_each(|(t, s)| some_texel[*s as usize] = t);
     let of_pixels = |group: &dyn Fn(usize) -> u32| -> Vec<u32> {
-        evidence.segment.iter().map(|&s| if s == NONE { NONE } else { group(some_texel[s as usize]) }).collect()
+        evidence.segment.iter().map(|&s| if s == NONE { NONE } else { group(s as usize) }).collect()
     };
     let all = settle(
         evidence,
@@ -247,7 +254,7 @@ fn roughness(segments: &Segments, evidence: &scan::Evidence, settings: &FullSett
     let class = settle(
         evidence,
         &Level {
-            group: &of_pixels(&|t| u32::from(segments.class[t])),
+            group: &of_pixels(&|s| u32::from(segments.class[s])),
             parent: &vec![all[0]; classes],
             pull: s.class_pull,
             half_believed: 0.0,
@@ -255,19 +262,19 @@ fn roughness(segments: &Segments, evidence: &scan::Evidence, settings: &FullSett
     );
     let rooms = segments.class_in_room.iter().copied().max().unwrap_or(0) as usize + 1;
     let mut parent = vec![all[0]; rooms];
-    for (t, r) in segments.class_in_room.iter().enumerate() {
-        parent[*r as usize] = class[usize::from(segments.class[t])];
+    for (s, r) in segments.class_in_room.iter().enumerate() {
+        parent[*r as usize] = class[usize::from(segments.class[s])];
     }
     let room = settle(
         evidence,
         &Level {
-            group: &of_pixels(&|t| segments.class_in_room[t]),
+            group: &of_pixels(&|s| segments.class_in_room[s]),
             parent: &parent,
             pull: s.room_pull,
             half_believed: 0.0,
         },
     );
-    let parent: Vec<f32> = some_texel.iter().map(|&t| room[segments.class_in_room[t] as usize]).collect();
+    let parent: Vec<f32> = segments.class_in_room.iter().map(|&r| room[r as usize]).collect();
     let segment = settle(
         evidence,
         &Level { group: &evidence.segment, parent: &parent, pull: s.segment_pull, half_believed: s.segment_pixels },

@@ -4,16 +4,14 @@
 use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
+use super::bands::Bands;
 use super::blocks::{self, AXIS, Blocks, Patch};
-use super::hidden;
-use super::labels::{Votes, witnesses};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::brdf::DIELECTRIC_F0;
 use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
-use crate::fit::adjacency::Adjacency;
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
@@ -43,14 +41,10 @@ pub struct Observations {
     pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
     pub rows: Rows,
-    /// The transpose of `rows`: by texel, the pixels that see it.
-    pub columns: Rows,
-    /// The flat surface that each texel is part of.
-    pub surface: Vec<u32>,
-    /// Semantic class of each texel, as the views voted; `None` where there is no vote around.
-    pub class: Vec<Option<u16>>,
-    /// Room of each texel as the capture names them, likewise.
-    pub room: Vec<Option<u16>>,
+    /// Which pixels see what part of the atlas.
+    pub bands: Bands,
+    /// Whether a pixel sees it, of each texel.
+    pub is_seen: Vec<bool>,
     /// Number of pixels of each view, in order.
     pub views: Vec<usize>,
 }
@@ -66,9 +60,11 @@ impl Observations {
         self.radiance.is_empty()
     }
 
-    /// Whether views have semantic classes.
-    pub fn has_classes(&self) -> bool {
-        self.class.iter().any(Option::is_some)
+    /// Finds out from `rows` who sees which of `texels` texels.
+    pub fn index(&mut self, texels: usize) {
+        self.bands = Bands::new(&self.rows, texels);
+        self.is_seen = vec![false; texels];
+        self.rows.taps.iter().for_each(|tap| self.is_seen[tap.texel as usize] = true);
     }
 
     /// Specular radiance of pixel `p` by roughness, if it shows a dielectric.
@@ -88,8 +84,6 @@ pub struct Observer<'a> {
     pub scene: &'a Scene,
     /// Its texels.
     pub atlas: &'a Atlas,
-    /// Which of them are neighbours.
-    pub adjacency: &'a Adjacency,
     /// Texels that are light sources.
     pub emitters: &'a Mask,
     /// Sample counts.
@@ -110,21 +104,17 @@ impl Observer<'_> {
         progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
-        let mut votes = [Votes::default(), Votes::default()];
         for view in views {
-            self.observe_one(backend, view, &index, (&mut all, &mut votes), progress)?;
+            self.observe_one(backend, view, &index, &mut all, progress)?;
         }
         progress.finish();
-        all.surface = hidden::flat_surfaces(self.atlas, self.adjacency);
-        [all.class, all.room] =
-            votes.map(|votes| votes.count(&self.scene.mesh, self.atlas, self.adjacency, &all.surface));
         if all.is_empty() {
             return Err(Error::invalid(
                 "no pixel of a training view shows a surface that is not a light source: check the cameras against the \
                  mesh with `texir inspect`",
             ));
         }
-        all.columns = all.rows.transposed(self.atlas.texels.len());
+        all.index(self.atlas.texels.len());
         Ok(all)
     }
 
@@ -133,14 +123,13 @@ impl Observer<'_> {
         backend: &mut dyn Backend,
         view: &View,
         index: &TexelIndex,
-        (all, [class, room]): (&mut Observations, &mut [Votes; 2]),
+        all: &mut Observations,
         progress: &dyn Progress,
     ) -> Result<()> {
         let mesh = &self.scene.mesh;
         let image = view.load_image(progress)?;
         let mask = view.load_mask()?;
         let classes = view.load_semantic()?;
-        let rooms = view.load_room()?;
         let fine = view.camera.supersampled(AXIS);
         let hits = backend.primary(&fine)?;
         let strata_of = |pixel: usize| -> [usize; STRATA] {
@@ -212,12 +201,6 @@ impl Observer<'_> {
             all.rows.offsets.push(all.rows.taps.len() as u32);
         }
         all.views.push(pixels.len());
-        if classes.is_some() || rooms.is_some() || view.room_id.is_some() {
-            let witnesses = witnesses(backend, mesh, self.atlas, view, mask.as_ref())?;
-            class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
-            let of_view = view.room_id.unwrap_or(0);
-            room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
-        }
         Ok(())
     }
 }

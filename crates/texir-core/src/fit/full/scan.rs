@@ -111,8 +111,10 @@ pub fn scan(
             }
         });
         problem.solve(albedo, &target, &sigma, 1, settings.iterations);
-        let residual = problem.residual(albedo, &target);
-        let residual: Vec<f32> = residual.par_iter().map(|e| e.element_sum() / 3.0).collect();
+        let residual: Vec<f32> = (0..problem.seen.len())
+            .into_par_iter()
+            .map(|p| problem.residual(albedo, &target, p).element_sum() / 3.0)
+            .collect();
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
         slope
             .iter_mut()

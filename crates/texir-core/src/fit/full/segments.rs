@@ -5,22 +5,27 @@ use std::collections::VecDeque;
 use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
-use super::observations::Observations;
+use super::labels::Labels;
 use super::{automatic, hidden};
 use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
 
-/// Labels of every valid texel.
+/// Connected regions of one class in one room, numbered from 0.
 pub struct Segments {
-    /// Semantic class; 0 is "unknown".
-    pub class: Vec<u16>,
-    /// Class within a room, numbered from 0.
-    pub class_in_room: Vec<u32>,
-    /// Connected region of one class in one room, numbered from 0.
+    /// That of every valid texel.
     pub segment: Vec<u32>,
-    /// Number of segments.
-    pub count: usize,
+    /// Semantic class of each segment; 0 is "unknown".
+    pub class: Vec<u16>,
+    /// Class within a room of each segment, numbered from 0.
+    pub class_in_room: Vec<u32>,
+}
+
+impl Segments {
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.class.len()
+    }
 }
 
 /// Segments the texels by the labels that the views voted for; where views have no classes, by geometry and their `albedo`
@@ -30,29 +35,37 @@ pub struct Segments {
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
-    seen: &Observations,
+    labels: &Labels,
+    is_seen: &[bool],
     albedo: impl FnOnce() -> Vec<Vec3A>,
     plan: &FloorPlan,
 ) -> Segments {
     let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
-        spread(hidden::label(atlas, &seen.surface, known, texel), adjacency, otherwise)
+        spread(hidden::label(atlas, &labels.surface, known, texel), adjacency, otherwise)
     };
-    let class = if seen.has_classes() {
-        everywhere(&seen.class, &|_| 0)
+    let class = if labels.has_classes() {
+        everywhere(&labels.class, &|_| 0)
     } else {
-        let is_seen = |t: usize| !seen.columns.row(t).is_empty();
-        everywhere(&automatic::classes((atlas, texel), adjacency, &seen.surface, &albedo(), is_seen), &|_| 0)
+        let seen = |t: usize| is_seen[t];
+        everywhere(&automatic::classes((atlas, texel), adjacency, &labels.surface, &albedo(), seen), &|_| 0)
     };
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
-    let room = if seen.room.iter().all(Option::is_none) { planned } else { everywhere(&seen.room, &|i| planned[i]) };
-    let in_room: Vec<(u16, u16)> = class.iter().copied().zip(room).collect();
+    let room =
+        if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
+    let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
     let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
-    let mut pairs: Vec<(u16, u16)> = in_room.clone();
+    let mut of_segment = vec![(0, 0); count];
+    segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
+    let mut pairs = of_segment.clone();
     pairs.sort_unstable();
     pairs.dedup();
     let number = |pair: &(u16, u16)| pairs.partition_point(|p| p < pair) as u32;
-    Segments { class, class_in_room: in_room.par_iter().map(number).collect(), segment, count }
+    Segments {
+        segment,
+        class: of_segment.iter().map(|(class, _)| *class).collect(),
+        class_in_room: of_segment.iter().map(number).collect(),
+    }
 }
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.

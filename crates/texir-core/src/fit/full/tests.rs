@@ -111,7 +111,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     seen.curves = backend.specular_tables(&strata, 0.04, sampling, &Silent).unwrap();
     seen.white_curves = backend.specular_tables(&strata, 1.0, sampling, &Silent).unwrap();
     seen.block = (0..strata.len() as u32).collect();
-    seen.columns = seen.rows.transposed(atlas.texels.len());
+    seen.index(atlas.texels.len());
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     Toy { seen, irradiance, adjacency, segment: on_floor.iter().map(|&f| u32::from(!f)).collect() }
 }
@@ -152,9 +152,7 @@ fn the_diffuse_model_is_the_one_that_the_images_were_made_with() {
             let diffuse = 0.5 * toy.irradiance[texel] * std::f32::consts::FRAC_1_PI;
             toy.seen.radiance[p] += (truth.factor(toy.seen.cosine[p], roughness) - 1.0) * diffuse;
         }
-        let texels = toy.segment.len();
-        let segments =
-            Segments { class: vec![1; texels], class_in_room: vec![0; texels], segment: toy.segment.clone(), count: 2 };
+        let segments = Segments { segment: toy.segment.clone(), class: vec![1; 2], class_in_room: vec![0; 2] };
         let mut problem = toy.problem(&settings.albedo);
         let scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
         assert_eq!(scanned.diffuse, truth);
@@ -171,9 +169,7 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
     for (metallic, roughness) in [(1.0, 0.1), (1.0, 0.25), (0.0, 0.1), (0.0, 0.25), (0.0, 0.9)] {
         let material = Material { metallic, ..Material::dielectric(copper.to_array(), roughness) };
         let toy = toy_of(|_| material, 1.0);
-        let texels = toy.segment.len();
-        let segments =
-            Segments { class: vec![1; texels], class_in_room: vec![0; texels], segment: toy.segment.clone(), count: 2 };
+        let segments = Segments { segment: toy.segment.clone(), class: vec![1; 2], class_in_room: vec![0; 2] };
         let floor = toy.segment.iter().position(|s| *s == 0).unwrap();
         let mut metal = |enabled| {
             settings.metallic = MetallicSettings { enabled, ..MetallicSettings::default() };

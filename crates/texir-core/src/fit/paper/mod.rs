@@ -5,7 +5,7 @@ pub mod views;
 
 use std::time::Instant;
 
-use super::{Ground, Materials};
+use super::{Ground, Materials, emission};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
@@ -17,16 +17,17 @@ use crate::fit::settings::FitSettings;
 use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
-use crate::raster::{Gray, Rgb};
+use crate::raster::{Gray, Raster, Rgb};
 use crate::scene::Scene;
 use crate::texture::Pyramid;
 use stages::{EpochLog, Optimisation, Textures};
 use views::{FitView, Surroundings};
 
-/// Fits the materials. The backend holds the full TBL and its lights, before and after.
+/// Fits the materials. The backend holds the full TBL and its lights, before and after; `irradiance` is E per texel.
 pub fn fit(
     backend: &mut dyn Backend,
     ground: &Ground<'_>,
+    irradiance: Rgb,
     training: &[View],
     settings: &FitSettings,
     progress: &dyn Progress,
@@ -40,8 +41,15 @@ pub fn fit(
         );
     }
     let pyramid = atlas.pyramid();
-    let surroundings = Surroundings { ground, pyramid: &pyramid, footprint_samples: settings.footprint_samples };
-    backend.set_tbl(ground.emission, &Lights::none(&scene.mesh))?;
+    let surroundings = Surroundings {
+        ground,
+        irradiance: &irradiance,
+        pyramid: &pyramid,
+        footprint_samples: settings.footprint_samples,
+    };
+    let sources = Raster { data: emission(ground.radiance, ground.emitters).collect(), ..*ground.radiance };
+    backend.set_tbl(&sources, &Lights::none(&scene.mesh))?;
+    drop(sources);
     let views = surroundings.prepare(backend, training, progress)?;
     backend.set_tbl(ground.radiance, ground.lights)?;
     let texels = atlas.width * atlas.height;
@@ -65,7 +73,7 @@ pub fn fit(
         albedo,
         roughness,
         metallic: None,
-        irradiance: ground.irradiance.clone(),
+        irradiance,
         diffuse: DiffuseModel::Lambert,
         masking: Masking::Schlick,
         confidence: None,

@@ -9,6 +9,7 @@ use crate::capture::{Split, View};
 use crate::error::Result;
 use crate::fit::Ground;
 use crate::progress::{Progress, Silent};
+use crate::raster::Rgb;
 use crate::rng::hash2;
 use crate::surface::Hit;
 use crate::texture::{Footprints, Pyramid};
@@ -44,6 +45,8 @@ pub struct FitView {
 pub struct Surroundings<'a> {
     /// The scene and its light.
     pub ground: &'a Ground<'a>,
+    /// E per texel.
+    pub irradiance: &'a Rgb,
     /// Mips of the atlas.
     pub pyramid: &'a Pyramid,
     /// Sub-pixel footprints per axis.
@@ -91,7 +94,7 @@ impl Surroundings<'_> {
             &fine_hits,
             &used,
         );
-        let irradiance = backend.lookup(self.pyramid, self.ground.irradiance.data.as_flattened(), 3, &footprints)?;
+        let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &footprints)?;
         let points: Vec<ShadePoint> = used
             .iter()
             .zip(irradiance.as_chunks::<3>().0)
