@@ -218,10 +218,10 @@ impl Bake {
     fn load(&self, session: &Session<'_>) -> Result<(Scene, Light), Failure> {
         if self.input.is_dir() {
             let options = LoadOptions { mesh: None, tbl: self.tbl.clone() };
-            let mut capture = capture::load(&self.input, &options, session.console)?;
+            let capture = capture::load(&self.input, &options, session.console)?;
             let scene = Scene::new(capture.mesh.clone())?;
-            let light = match capture.tbl.take() {
-                Some(tbl) => Light::Texture(tbl.radiance),
+            let light = match &capture.tbl {
+                Some(texture) => Light::Texture(capture::Tbl::read(texture, session.console)?.radiance),
                 None => Light::Views(Box::new(capture)),
             };
             return Ok((scene, light));

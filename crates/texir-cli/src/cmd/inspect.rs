@@ -10,7 +10,7 @@ use serde::Serialize;
 use texir_core::backend::Backend;
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::import::{self, Import};
-use texir_core::capture::{Capture, Split, View};
+use texir_core::capture::{Capture, Split, Tbl, View};
 use texir_core::cpu::CpuBackend;
 use texir_core::fit::{FitSettings, Mode, memory};
 use texir_core::image_io::is_encoded;
@@ -157,7 +157,7 @@ impl Inspect {
             let scene = Scene::new(capture.mesh.clone())?;
             overlay::write(&mut CpuBackend::new(&scene), &capture.mesh, &capture.views, folder, session.console)?;
         }
-        let findings = inspect(&capture, origin, &session.config.fit)?;
+        let findings = inspect(&capture, origin, session)?;
         session.print(&findings, || text(&findings))
     }
 
@@ -208,9 +208,11 @@ impl Origin {
     }
 }
 
-fn inspect(capture: &Capture, origin: Origin, settings: &FitSettings) -> Result<Findings, Failure> {
+fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<Findings, Failure> {
+    let settings = &session.config.fit;
     let mesh = &capture.mesh;
-    let size = match (settings.atlas_size, &capture.tbl) {
+    let tbl = capture.tbl.as_ref().map(|path| Tbl::read(path, session.console)).transpose()?;
+    let size = match (settings.atlas_size, tbl) {
         (0, Some(tbl)) => tbl.radiance.width,
         (0, None) => texir_core::tbl::DEFAULT_SIZE,
         (size, _) => size,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Capture, LoadOptions, Split, Tbl, Truth, View, import, nerfstudio};
+use super::{Capture, LoadOptions, Split, Truth, View, import, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{check_whole, read_rgb, read_size, sanitise_radiance};
 use crate::mesh::Mesh;
@@ -18,7 +18,7 @@ const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
 pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
-/// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh and the HDR texture stays on disk; files are checked to be there, whole
+/// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there, whole
 /// and of the right size.
 ///
 /// What can be worked with is warned about; what cannot is an error that names the file and the field.
@@ -62,10 +62,7 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
     warn_about_positions(&root, &views, &mesh, progress);
 
     let existing = |name: &str| Some(root.join(name)).filter(|path| path.is_file());
-    let tbl = match options.tbl.clone().or_else(|| existing("hdr_texture.exr")) {
-        Some(path) => Some(Tbl::read(path, progress)?),
-        None => None,
-    };
+    let tbl = options.tbl.clone().or_else(|| existing("hdr_texture.exr"));
     let truth = match (existing("albedo_tex.exr"), existing("roughness_tex.exr")) {
         (Some(albedo), Some(roughness)) => Some(truth(albedo, roughness)?),
         (None, None) => None,
@@ -78,7 +75,7 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
         }
     };
     let emission = existing("emission_tex.exr");
-    emission.iter().try_for_each(|path| check_whole(path))?;
+    tbl.iter().chain(&emission).try_for_each(check_whole)?;
     Ok(Capture { root, mesh_path, mesh, views, tbl, truth, emission })
 }
 
@@ -140,6 +137,6 @@ fn truth(albedo: PathBuf, roughness: PathBuf) -> Result<Truth> {
             format!("is {of_roughness:?} texels; expected {of_albedo:?}, as {} has", albedo.display()),
         ));
     }
-    [&albedo, &roughness].into_iter().try_for_each(|path| check_whole(path))?;
+    [&albedo, &roughness].into_iter().try_for_each(check_whole)?;
     Ok(Truth { albedo, roughness })
 }

@@ -104,8 +104,8 @@ pub struct Capture {
     pub mesh: Mesh,
     /// All views, training and novel.
     pub views: Vec<View>,
-    /// `hdr_texture.exr`, when given; otherwise it is built from the views.
-    pub tbl: Option<Tbl>,
+    /// `hdr_texture.exr`, when given ([`Tbl::read`]); otherwise the TBL is built from the views.
+    pub tbl: Option<PathBuf>,
     /// Ground-truth textures, when given.
     pub truth: Option<Truth>,
     /// Known emission per texel, when given.

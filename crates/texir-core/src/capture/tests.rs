@@ -161,7 +161,7 @@ fn textures_of_the_folder_are_found_and_overridden() {
     let capture = load_warned(&folder).0.unwrap();
     assert_eq!(capture.truth.unwrap().albedo, root.join("albedo_tex.exr"));
     assert_eq!(capture.emission.unwrap(), root.join("emission_tex.exr"));
-    let tbl = capture.tbl.unwrap();
+    let tbl = Tbl::read(capture.tbl.unwrap(), &Silent).unwrap();
     assert_eq!(tbl.coverage.data, [Coverage::Seen, Coverage::Outside], "without a mask, light tells");
 
     let other = Tbl { coverage: Raster::new(2, 1, vec![Coverage::Inpainted, Coverage::Seen]).unwrap(), ..tbl };
@@ -170,7 +170,7 @@ fn textures_of_the_folder_are_found_and_overridden() {
     let error = load(root, &options, &Silent).unwrap_err().to_string();
     assert_says(&error, &["none.ply", "cannot be read"]);
     let capture = load(root, &LoadOptions { mesh: None, ..options }, &Silent).unwrap();
-    assert_eq!(capture.tbl.unwrap(), other);
+    assert_eq!(Tbl::read(capture.tbl.unwrap(), &Silent).unwrap(), other);
 
     write_png_labels(root.join("tbl/other_mask.png"), &Labels::filled(2, 1, 7)).unwrap();
     let error = Tbl::read(root.join("tbl/other.exr"), &Silent).unwrap_err().to_string();

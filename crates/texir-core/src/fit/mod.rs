@@ -13,6 +13,7 @@ pub mod paper;
 pub mod settings;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use adjacency::Adjacency;
@@ -107,18 +108,20 @@ pub fn fit(
     let mut timings = Timings { last: started, entries: Vec::new() };
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let size = match (settings.atlas_size, &capture.tbl) {
+    let given = capture.tbl.as_ref().map(|path| Tbl::read(path, progress)).transpose()?;
+    let size = match (settings.atlas_size, &given) {
         (0, Some(tbl)) => tbl.radiance.size(),
         (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
         (size, _) => (size, size),
     };
-    let given = capture.tbl.as_ref().filter(|tbl| tbl.radiance.size() == size);
+    let given = given.filter(|tbl| tbl.radiance.size() == size);
+    let is_given = given.is_some();
     let mut tbl = match given {
-        Some(tbl) => tbl.clone(),
+        Some(tbl) => tbl,
         None => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
     };
     let atlas = Atlas::new(backend, scene, size.0, size.1)?;
-    if given.is_some() && settings.mode == Mode::Full && settings.full.resolve_sources {
+    if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
         tbl = tbl::resolve_sources(backend, scene, &atlas, &tbl, &training, progress)?;
     }
     timings.mark("texture-based lighting");
@@ -176,18 +179,21 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
     bytemuck::cast_slice::<_, u8>(&capture.mesh.normals).hash(&mut hasher);
     bytemuck::cast_slice::<_, u8>(&capture.mesh.uvs).hash(&mut hasher);
     capture.mesh.triangles.hash(&mut hasher);
-    if let Some(tbl) = &capture.tbl {
-        bytemuck::cast_slice::<_, u8>(&tbl.radiance.data).hash(&mut hasher);
+    let mut known = |file: &PathBuf| -> Result<()> {
+        let known = file.metadata().map_err(|e| Error::file(file, format!("cannot be read: {e}")))?;
+        (known.len(), known.modified().ok()).hash(&mut hasher);
+        Ok(())
+    };
+    if let Some(texture) = &capture.tbl {
+        known(texture)?;
+        let mask = Tbl::mask_path(texture);
+        mask.is_file().then(|| known(&mask)).transpose()?;
     }
     for view in &capture.views {
-        format!("{view:?}").hash(&mut hasher);
-        for file in [Some(&view.image), view.semantic.as_ref(), view.mask.as_ref(), view.room.as_ref()] {
-            let Some(file) = file else { continue };
-            let known = file.metadata().map_err(|e| Error::file(file, format!("cannot be read: {e}")))?;
-            known.len().hash(&mut hasher);
-            known.modified().ok().hash(&mut hasher);
-        }
+        let files = [Some(&view.image), view.semantic.as_ref(), view.mask.as_ref(), view.room.as_ref()];
+        files.into_iter().flatten().try_for_each(&mut known)?;
     }
+    format!("{:?}", (&capture.tbl, &capture.views)).hash(&mut hasher);
     let (version, name, captured) = (env!("CARGO_PKG_VERSION"), backend.name(), hasher.finish());
     Ok(format!("texir {version}\n{name}\ncapture {captured:016x}\n{settings:?}\n"))
 }

@@ -3,6 +3,7 @@
 use serde_json::json;
 
 use super::*;
+use crate::capture::Tbl;
 use crate::capture::tests::Warnings;
 use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels, write_png_rgb};
 use crate::raster::{Gray, Labels, Raster};
@@ -286,7 +287,8 @@ fn texir_authors_layout() {
     assert_eq!(mask.data.iter().filter(|used| !**used).count(), 1);
     assert!(!mask.at(3, 3));
     let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
-    assert_eq!(capture.tbl.unwrap().radiance.data[0], [7.0; 3]);
+    let texture = Tbl::read(capture.tbl.unwrap(), &Silent).unwrap();
+    assert_eq!(texture.radiance.data[0], [7.0; 3]);
 
     std::fs::write(folder.path().join("info/final_extrinsics.txt"), &matrices[..matrices.len() - 14]).unwrap();
     assert_says(&complaint(&folder), &["final_extrinsics.txt", "63 numbers", "4 ids"]);
