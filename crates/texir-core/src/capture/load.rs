@@ -18,8 +18,8 @@ const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
 pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
-/// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there, whole
-/// and of the right size.
+/// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there,
+/// whole and of the right size.
 ///
 /// What can be worked with is warned about; what cannot is an error that names the file and the field.
 pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Progress) -> Result<Capture> {

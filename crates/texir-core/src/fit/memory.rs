@@ -13,6 +13,8 @@ use crate::progress::Progress;
 const PIXELS_PER_TEXEL: u64 = 4;
 /// Bytes of the hierarchy and the mesh, per triangle.
 const TRIANGLE: u64 = 300;
+/// Bytes of the program itself, with its libraries and what its allocator keeps to itself.
+const PROGRAM: u64 = 100_000_000;
 /// Reductions that are tried for a view, beyond what is asked, until one leaves a panorama whole.
 const TRIES: usize = 8;
 
@@ -22,16 +24,16 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
         // Four channels of parameters, gradients, two moments, lighting and irradiance, with mips; footprints of about 12
         // taps per sub-pixel, both ways.
         Mode::Paper => (150, (settings.footprint_samples * settings.footprint_samples) as u64 * 192),
-        // Votes, solver vectors, lighting; footprints both ways, costs by roughness, a share of a curve, solver vectors.
-        // Where metals are sought, another share of a curve, and costs as metal.
-        Mode::Full => (250, if settings.full.metallic.enabled { 700 } else { 500 }),
+        // Points, neighbours, lighting, and votes, or later albedo with solver vectors; a footprint of 8 taps, a share of a
+        // curve, costs by roughness under two models, solver vectors. Where metals are sought, a share of another curve.
+        Mode::Full => (200, if settings.full.metallic.enabled { 420 } else { 350 }),
     }
 }
 
-/// Bytes that a fit needs: an estimate, good to a third.
+/// Bytes that a fit needs: an estimate, good to a tenth in full mode and to a third in paper mode.
 pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u64, triangles: usize) -> ByteSize {
     let (texel, pixel) = bytes_of(settings);
-    ByteSize((width * height) as u64 * texel + pixels * pixel + triangles as u64 * TRIANGLE)
+    ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + triangles as u64 * TRIANGLE)
 }
 
 /// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the fit
@@ -159,6 +161,18 @@ mod tests {
         assert_eq!(some.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 2, 1, 2, 2]);
         let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
         assert!(none.contains("max_memory") && none.contains("atlas_size"), "{none}");
+    }
+
+    #[test]
+    fn the_estimate_is_above_what_was_measured_but_not_far() {
+        // docs/performance.md, "Memory": atlas, pixels, triangles, MiB at most.
+        for (side, pixels, triangles, measured) in
+            [(2048, 24 * 512 * 256, 132_210, 1857), (1024, 12 * 256 * 128, 54_484, 434)]
+        {
+            let needed = needed(&FitSettings::default(), (side, side), pixels, triangles);
+            let share = needed.0 as f64 / f64::from(measured << 20);
+            assert!((1.0..1.1).contains(&share), "{needed}, {share} of what was measured");
+        }
     }
 
     #[test]

@@ -69,9 +69,9 @@ impl Labels {
             room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
             progress.advance(1);
         }
-        progress.finish();
         let surface = hidden::flat_surfaces(atlas, adjacency);
         let [class, room] = [class, room].map(|votes| votes.count(mesh, atlas, adjacency, &surface));
+        progress.finish();
         Ok(Self { surface, class, room })
     }
 

@@ -40,17 +40,18 @@ use observations::{Observations, Observer};
 use palette::Palettes;
 use segments::Segments;
 
-/// Fits the materials. The backend holds the full TBL and its lights; `irradiance` is E per texel.
+/// Fits the materials. The backend holds the full TBL and its lights; `map` is the irradiance E.
 pub fn fit(
     backend: &mut dyn Backend,
     ground: &Ground<'_>,
-    irradiance: Rgb,
+    map: Rgb,
     training: &[View],
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
     let Ground { scene, atlas, adjacency, emitters, seed, checkpoints, .. } = *ground;
-    let irradiance = of_texels(&irradiance, atlas);
+    let irradiance = of_texels(&map, atlas);
+    drop(map);
     let labels = Labels::vote(backend, &scene.mesh, (atlas, adjacency), training, progress)?;
     let observer = Observer { scene, atlas, emitters, settings, seed, checkpoints };
     let seen = observer.observe(backend, training, progress)?;
