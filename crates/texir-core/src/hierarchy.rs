@@ -26,12 +26,13 @@ const LEAF: u32 = 3;
 const SHARED: usize = 1 << 14;
 
 /// The hierarchy of some triangles, of which there is at least one. A triangle that is much larger than others may be in several leaves.
-pub fn build(triangles: &[Triangle]) -> CwBvh {
+pub fn build(triangles: Vec<Triangle>) -> CwBvh {
     let mut boxes: Vec<Aabb> = triangles.iter().map(|t| t.aabb()).collect();
     let mut triangle_of: Vec<u32> = (0..triangles.len() as u32).collect();
     let largest = boxes.iter().map(Aabb::half_area).fold(0.0, f32::max);
     let mean = boxes.iter().map(Aabb::half_area).sum::<f32>() / boxes.len() as f32;
-    split_aabbs_preset(&mut boxes, &mut triangle_of, triangles, mean, largest);
+    split_aabbs_preset(&mut boxes, &mut triangle_of, &triangles, mean, largest);
+    drop(triangles);
 
     let packed = |heuristic_levels| {
         let mut nodes = vec![Bvh2Node::default(); 2 * boxes.len() - 1];
@@ -39,7 +40,7 @@ pub fn build(triangles: &[Triangle]) -> CwBvh {
         let (root, below) = nodes.split_at_mut(1);
         let all = Subtree { root: &mut root[0], below, below_at: 1, items: &mut order, items_at: 0, heuristic_levels };
         subdivide(&boxes, all);
-        let primitive_indices = order.iter().map(|&item| triangle_of[item as usize]).collect();
+        let primitive_indices = order.into_iter().map(|item| triangle_of[item as usize]).collect();
         let binary = Bvh2 { nodes, primitive_indices, uses_spatial_splits: true, ..Bvh2::default() };
         bvh2_to_cwbvh(&binary, LEAF, true, false)
     };
@@ -324,7 +325,7 @@ mod tests {
             triangles(40_000, scattered, 0.01),
         ];
         for (case, triangles) in cases.iter().enumerate() {
-            let bvh = build(triangles);
+            let bvh = build(triangles.clone());
             let mut found = vec![false; triangles.len()];
             bvh.primitive_indices.iter().for_each(|&t| found[t as usize] = true);
             assert!(found.iter().all(|found| *found), "case {case}");
@@ -342,7 +343,7 @@ mod tests {
             let params = obvhs::BvhBuildParams::medium_build();
             obvhs::cwbvh::builder::build_cwbvh_from_tris(triangles, params, &mut Default::default())
         };
-        let (ours, theirs) = (growth(&build), growth(&bottom_up));
+        let (ours, theirs) = (growth(&|triangles| build(triangles.to_vec())), growth(&bottom_up));
         assert!(ours < 2.0, "{ours}");
         assert!(theirs > 2.0 * ours, "the control: {theirs} and {ours}");
     }
@@ -351,8 +352,9 @@ mod tests {
     fn threads_do_not_change_it() {
         let scattered = |i: u32| Vec3A::new(unit(i, 0), unit(i, 1), unit(i, 2));
         let triangles = triangles(50_000, scattered, 0.01);
-        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(|| build(&triangles));
-        let together = build(&triangles);
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let alone = alone.install(|| build(triangles.clone()));
+        let together = build(triangles);
         assert_eq!(alone.primitive_indices, together.primitive_indices);
         assert_eq!(bytemuck::cast_slice::<_, u8>(&alone.nodes), bytemuck::cast_slice::<_, u8>(&together.nodes));
     }

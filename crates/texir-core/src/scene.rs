@@ -10,6 +10,11 @@ use crate::mesh::Mesh;
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
 
+/// Bytes of a triangle while the hierarchy over them is built: itself, its box, nodes and the costs of packing them.
+const TRIANGLE: u64 = 270;
+/// Bytes of a vertex: position, normal, coordinates.
+const VERTEX: u64 = 32;
+
 /// A mesh and its obvhs CWBVH (8-wide, compressed).
 pub struct Scene {
     /// The mesh, in world space.
@@ -48,13 +53,18 @@ impl Scene {
                 Triangle { v0: a.into(), v1: b.into(), v2: c.into() }
             })
             .collect();
-        let bvh = hierarchy::build(&triangles);
+        let bvh = hierarchy::build(triangles);
         let primitive = |&triangle: &u32| {
             let [a, b, c] = mesh.corners(triangle);
             Primitive { corner: a.to_array(), edges: [(b - a).to_array(), (c - a).to_array()], triangle }
         };
         let primitives = bvh.primitive_indices.iter().map(primitive).collect();
         Ok(Self { mesh, bvh, primitives })
+    }
+
+    /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.
+    pub fn memory(mesh: &Mesh) -> u64 {
+        mesh.triangles.len() as u64 * TRIANGLE + mesh.positions.len() as u64 * VERTEX
     }
 }
 

@@ -20,7 +20,7 @@ use crate::device;
 use crate::failure::Failure;
 
 /// Triangles of the meshes.
-const MESHES: [usize; 2] = [100_000, 1_000_000];
+const MESHES: [usize; 3] = [10_000, 100_000, 1_000_000];
 /// Triangles of the mesh that `--large` adds.
 const LARGE: usize = 10_000_000;
 /// Cosine-distributed rays per point: as a bake of moderate quality.

@@ -360,7 +360,7 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
         }
         Mode::Full => blocks * u64::from(settings.full.sampling(0, 0).rays()),
     };
-    let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, capture.mesh.triangles.len());
+    let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, &capture.mesh);
     Estimate {
         bake_rays: (texels as f64 * atlas.covered) as u64
             * u64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32)),

@@ -7,6 +7,7 @@ use bytesize::ByteSize;
 use super::store::Workspace;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
+use crate::scene::Scene;
 
 /// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, guide, entries of the search
 /// and while they are sorted, result.
@@ -14,9 +15,6 @@ pub(super) const POINT: u64 = 192;
 
 /// Bytes that a valid texel takes where all of them are in memory, as measured.
 const TEXEL: u64 = 192;
-
-/// Bytes of the mesh and its hierarchy, per triangle.
-const TRIANGLE: u64 = 300;
 
 /// Bytes per texel of the HDR texture: itself, the backend's, and its texels while the lights among them are found.
 const RADIANCE: u64 = 64;
@@ -36,7 +34,7 @@ pub fn keep_within(
     radiance: usize,
     [width, height]: [usize; 2],
 ) -> Result<Workspace> {
-    let beside = BASE + mesh.triangles.len() as u64 * TRIANGLE + radiance as u64 * RADIANCE;
+    let beside = BASE + Scene::memory(mesh) + radiance as u64 * RADIANCE;
     if beside + (width * height) as u64 * TEXEL <= limit.0 {
         return Ok(Workspace::Memory);
     }

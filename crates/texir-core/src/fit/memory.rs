@@ -8,11 +8,10 @@ use crate::error::{Error, Result};
 use crate::fit::settings::{FitSettings, Mode};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
+use crate::scene::Scene;
 
 /// Pixels of all views together per valid texel, at most: finer images know nothing more about the texels.
 const PIXELS_PER_TEXEL: u64 = 4;
-/// Bytes of the hierarchy and the mesh, per triangle.
-const TRIANGLE: u64 = 300;
 /// Bytes of the program itself, with its libraries and what its allocator keeps to itself.
 const PROGRAM: u64 = 100_000_000;
 /// Reductions that are tried for a view, beyond what is asked, until one leaves a panorama whole.
@@ -31,9 +30,9 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
 }
 
 /// Bytes that a fit needs: an estimate, good to a tenth in full mode and to a third in paper mode.
-pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u64, triangles: usize) -> ByteSize {
+pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u64, mesh: &Mesh) -> ByteSize {
     let (texel, pixel) = bytes_of(settings);
-    ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + triangles as u64 * TRIANGLE)
+    ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + Scene::memory(mesh))
 }
 
 /// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the fit
@@ -45,7 +44,7 @@ pub fn affordable(
     progress: &dyn Progress,
 ) -> Result<Vec<View>> {
     let (size, limit) = ((atlas.width, atlas.height), settings.max_memory);
-    let textures = needed(settings, size, 0, mesh.triangles.len());
+    let textures = needed(settings, size, 0, mesh);
     let left = limit.0.checked_sub(textures.0).ok_or_else(|| {
         Error::invalid(format!(
             "max_memory is {limit}, but textures of {}×{} texels and the mesh alone need about {textures}: raise it, or \
@@ -111,7 +110,7 @@ fn spread(count: usize) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
-    use glam::Mat4;
+    use glam::{Mat4, Vec3};
 
     use super::*;
     use crate::camera::{Camera, Projection};
@@ -152,11 +151,11 @@ mod tests {
         let place = (&square.scene.mesh, &square.atlas);
         let views = square.views(&texture(), (8, 4));
         let at = |max_memory| FitSettings { max_memory, ..FitSettings::default() };
-        let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, 2);
+        let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, &square.scene.mesh);
         assert!(affordable(&views, place, &at(all), &Silent).unwrap().iter().all(|v| v.reduction == 1));
         let most = affordable(&views, place, &at(ByteSize(all.0 - 1)), &Silent).unwrap();
         assert_eq!(most.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 1, 1, 2, 1]);
-        let half = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 88, 2);
+        let half = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 88, &square.scene.mesh);
         let some = affordable(&views, place, &at(half), &Silent).unwrap();
         assert_eq!(some.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 2, 1, 2, 2]);
         let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
@@ -165,11 +164,13 @@ mod tests {
 
     #[test]
     fn the_estimate_is_above_what_was_measured_but_not_far() {
-        // docs/performance.md, "Memory": atlas, pixels, triangles, MiB at most.
-        for (side, pixels, triangles, measured) in
-            [(2048, 24 * 512 * 256, 132_210, 1857), (1024, 12 * 256 * 128, 54_484, 434)]
+        // docs/performance.md, "Memory": atlas, pixels, triangles, vertices, MiB at most.
+        for (side, pixels, triangles, vertices, measured) in
+            [(2048, 24 * 512 * 256, 132_210, 82_171, 1857), (1024, 12 * 256 * 128, 54_484, 35_941, 434)]
         {
-            let needed = needed(&FitSettings::default(), (side, side), pixels, triangles);
+            let (triangles, positions) = (vec![[0; 3]; triangles], vec![Vec3::ZERO; vertices]);
+            let mesh = Mesh { triangles, positions, ..Mesh::default() };
+            let needed = needed(&FitSettings::default(), (side, side), pixels, &mesh);
             let share = needed.0 as f64 / f64::from(measured << 20);
             assert!((1.0..1.1).contains(&share), "{needed}, {share} of what was measured");
         }
