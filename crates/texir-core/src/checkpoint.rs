@@ -116,9 +116,9 @@ impl Checkpoints {
         write_atomic(&file, |sink| std::io::Write::write_all(sink, &bytes))
     }
 
-    /// The one array of a step: what `make` yields, or what it yielded in an earlier run.
-    pub fn array<T: Element>(&self, step: &str, make: impl FnOnce() -> Result<Vec<T>>) -> Result<Vec<T>> {
-        if let Some(kept) = self.find(step).and_then(|kept| kept.array("values")) {
+    /// The one array of a step, of `len` elements: what `make` yields, or what it yielded in an earlier run.
+    pub fn array<T: Element>(&self, step: &str, len: usize, make: impl FnOnce() -> Result<Vec<T>>) -> Result<Vec<T>> {
+        if let Some(kept) = self.find(step).and_then(|kept| kept.array("values")).filter(|kept| kept.len() == len) {
             return Ok(kept);
         }
         let made = make()?;
@@ -159,7 +159,7 @@ mod tests {
 
     fn made(checkpoints: &Checkpoints, step: &str) -> bool {
         let mut made = false;
-        let values = checkpoints.array(step, || {
+        let values = checkpoints.array(step, 5, || {
             made = true;
             Ok(vec![[0.1f32, f32::MIN_POSITIVE, -0.0]; 5])
         });
@@ -179,8 +179,11 @@ mod tests {
         assert!(made(&open("b"), "one"), "of another computation");
         fs::write(folder.join("one.safetensors"), "torn").unwrap();
         assert!(made(&open("b"), "one"), "not readable");
-        assert!(open("b").array::<f32>("one", || Ok(vec![])).unwrap().len() == 15 && open("b").find("two").is_none());
-        assert!(open("b").array::<u32>("one", || Ok(vec![7])).unwrap() == [7], "of another type");
+        assert!(
+            open("b").array::<f32>("one", 15, || Ok(vec![])).unwrap().len() == 15 && open("b").find("two").is_none()
+        );
+        assert!(open("b").array("one", 2, || Ok(vec![1.0f32, 2.0])).unwrap() == [1.0, 2.0], "of another length");
+        assert!(open("b").array::<u32>("one", 1, || Ok(vec![7])).unwrap() == [7], "of another type");
         open("b").finish();
         assert!(!folder.exists());
         assert!(made(&Checkpoints::none(), "one") && made(&Checkpoints::none(), "one"));

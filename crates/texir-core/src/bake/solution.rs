@@ -59,7 +59,8 @@ impl Solution {
         let (texel, kept) = (surface.texel, surface.kept(checkpoints));
         surface.each("denoising", progress, |k, block, points| {
             let own = |i: usize| block.owns(&points[i]);
-            let clean = kept.array(&format!("denoised-{k}"), || {
+            let owned = block.items.filter(own);
+            let clean = kept.array(&format!("denoised-{k}"), owned.len(), || {
                 let buried: Vec<bool> = self.seen.get(&block.items)?.iter().map(|seen| *seen == 0).collect();
                 let [a, b] = &estimate.halves;
                 let half = |half: &Store<Gathered>| -> Result<Vec<[f32; 3]>> {
@@ -67,7 +68,7 @@ impl Solution {
                 };
                 Ok(denoise_some(points, &[half(a)?, half(b)?], &buried, texel, own))
             })?;
-            self.irradiance.set(&block.items.filter(own), &clean)
+            self.irradiance.set(&owned, &clean)
         })
     }
 

@@ -62,7 +62,7 @@ impl<'a> Tiles<'a> {
         for (number, items) in self.items().enumerate() {
             let items = items?;
             let mut known = true;
-            let found = checkpoints.array(&format!("tile-{number}"), || {
+            let found = checkpoints.array(&format!("tile-{number}"), items.len(), || {
                 known = false;
                 backend.irradiance(&self.points.get(&items)?, Gather { seed, ..self.gather }, progress)
             })?;

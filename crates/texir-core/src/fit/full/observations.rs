@@ -179,7 +179,7 @@ impl Observer<'_> {
         let first = all.curves.len() as u32;
         let mut tables = |step: &str, f0: f32| {
             let mut skipped = view.camera.pixels();
-            let curves = self.checkpoints.array(step, || {
+            let curves = self.checkpoints.array(step, corners.len(), || {
                 skipped -= corners.len();
                 let strata: Vec<[ShadePoint; STRATA]> =
                     corners.par_iter().map(|pixels| std::array::from_fn(|k| points_of(pixels[k])[k])).collect();
