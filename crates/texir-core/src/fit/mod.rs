@@ -1,6 +1,6 @@
 //! The fit: from a capture to albedo and roughness textures.
 //!
-//! texture-based lighting → irradiance → rooms → materials, in one of two modes: [`paper`] or [`full`].
+//! rooms → texture-based lighting → irradiance → materials, in one of two modes: [`paper`] or [`full`].
 
 pub mod adam;
 pub mod adjacency;
@@ -107,6 +107,11 @@ pub fn fit(
     let started = Instant::now();
     let mut timings = Timings { last: started, entries: Vec::new() };
 
+    // First, as it takes a second and refuses meshes in other units than metres.
+    let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();
+    let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
+    timings.mark("rooms");
+
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
     let given = capture.tbl.as_ref().map(|path| Tbl::read(path, progress)).transpose()?;
     let size = match (settings.atlas_size, &given) {
@@ -134,10 +139,6 @@ pub fn fit(
     let irradiance =
         bake::denoised(backend, &scene.mesh, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");
-
-    let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();
-    let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
-    timings.mark("rooms");
 
     let light = (&tbl, &irradiance);
     let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
