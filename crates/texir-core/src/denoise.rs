@@ -283,7 +283,7 @@ mod tests {
         assert!(after < before / 3.5, "{after} of {before}");
         // Along the rim, where a mean would be biased by the missing side.
         let rim = error(&got, &truth, |i| i % SIDE == 0);
-        assert!(rim < before / 2.2, "{rim} of {before}");
+        assert!(rim < before / 2.4, "{rim} of {before}");
     }
 
     #[test]
