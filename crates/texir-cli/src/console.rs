@@ -1,6 +1,7 @@
 //! What the user sees while work goes on: progress bars on a terminal, a line every few seconds elsewhere, warnings, and
 //! Ctrl-C as a request to stop.
 
+use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -37,6 +38,7 @@ pub struct Console {
     terminal: bool,
     cancelled: Arc<AtomicBool>,
     tasks: Mutex<Vec<Task>>,
+    warned: Mutex<BTreeSet<String>>,
 }
 
 struct Task {
@@ -60,7 +62,8 @@ impl Console {
             let _ = writeln!(std::io::stderr(), "\nstopping … (Ctrl-C again quits at once)");
         })
         .map_err(|e| Failure::new(format!("Ctrl-C cannot be handled: {e}")))?;
-        Ok(Self { verbosity, terminal: std::io::stderr().is_terminal(), cancelled, tasks: Mutex::new(Vec::new()) })
+        let terminal = std::io::stderr().is_terminal();
+        Ok(Self { verbosity, terminal, cancelled, tasks: Mutex::default(), warned: Mutex::default() })
     }
 
     /// Says something, unless quiet.
@@ -142,8 +145,11 @@ impl Progress for Console {
         }
     }
 
+    /// Says it once: a view is read by several steps.
     fn warn(&self, message: &str) {
-        self.line(&format!("warning: {message}"));
+        if self.warned.lock().unwrap_or_else(PoisonError::into_inner).insert(message.to_owned()) {
+            self.line(&format!("warning: {message}"));
+        }
     }
 
     fn cancelled(&self) -> bool {

@@ -276,7 +276,8 @@ impl<'a> Subject<'a> {
             Some(truth) => compare(&surfaces.roughness, truth, &mask)?,
             None => None,
         };
-        let image = compare(&encoded(&rendered), &encoded(&observed.image), &mask)?;
+        let known = mask.and(&observed.image.finite());
+        let image = compare(&encoded(&rendered), &encoded(&observed.image), &known)?;
         self.views.push(Scores { albedo, roughness, image });
         Ok(Shown { rendered, surfaces, mask, albedo_scale })
     }

@@ -97,6 +97,22 @@ impl<T: Copy> Raster<T> {
     }
 }
 
+impl Rgb {
+    /// Pixels with a finite value in all channels.
+    pub fn finite(&self) -> Mask {
+        self.map(|pixel| pixel.iter().all(|v| v.is_finite()))
+    }
+}
+
+impl Mask {
+    /// Pixels that both masks keep; they must have one size.
+    pub fn and(&self, other: &Self) -> Self {
+        debug_assert_eq!(self.size(), other.size());
+        let data = self.data.iter().zip(&other.data).map(|(a, b)| *a && *b).collect();
+        Self { width: self.width, height: self.height, data }
+    }
+}
+
 /// Luminance of linear RGB (Rec. 709 primaries).
 pub fn luminance(rgb: &[f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]

@@ -38,7 +38,7 @@ pub fn write(
         progress.check()?;
         let step = view.camera.width.div_ceil(WIDTH);
         let camera = reduced(&view.camera, step);
-        let image = shown(&view.load_image(progress)?, &camera, step);
+        let image = shown(&view.load_picture(progress)?, &camera, step);
         let hits = backend.primary(&camera)?;
         write_png_rgb(folder.join(format!("{}.png", view.name)), &with_edges(image, mesh, &hits))?;
         progress.advance(1);

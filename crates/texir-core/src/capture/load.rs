@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{Capture, LoadOptions, Split, Truth, View, import, nerfstudio};
 use crate::error::{Error, Result};
-use crate::image_io::{check_whole, read_rgb, read_size, sanitise_radiance};
+use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
 use crate::mesh_io::{atlas_report, read_mesh};
 use crate::progress::Progress;
@@ -91,9 +91,8 @@ fn check_light(root: &Path, views: &[View], progress: &dyn Progress) -> Result<(
     for view in &training {
         progress.check()?;
         // What is wrong with single pixels is said when the view is used.
-        let mut image = read_rgb(&view.image)?;
-        sanitise_radiance(&mut image);
-        if image.data.iter().flatten().any(|v| *v > 0.0) {
+        let image = read_rgb(&view.image)?;
+        if image.data.iter().any(|pixel| pixel.iter().all(|v| v.is_finite()) && pixel.iter().any(|v| *v > 0.0)) {
             return Ok(());
         }
     }

@@ -24,7 +24,7 @@ impl Tbl {
     pub fn read(path: impl AsRef<Path>, progress: &dyn Progress) -> Result<Self> {
         let path = path.as_ref();
         let mut radiance = read_rgb(path)?;
-        let found = sanitise_radiance(&mut radiance);
+        let found = sanitise_radiance(&mut radiance, 0.0);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", path.display()));
         }

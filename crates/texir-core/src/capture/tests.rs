@@ -309,7 +309,7 @@ fn pixels_cut_off_behind_a_good_header_are_found_before_any_work_and_when_read()
 }
 
 #[test]
-fn nan_and_negative_pixels_are_zeroed_with_a_warning() {
+fn pixels_that_are_not_finite_are_unknown_and_negative_ones_black_with_a_warning() {
     let folder = capture();
     let capture = load_warned(&folder).0.unwrap();
     let mut image = Rgb::filled(WIDTH, HEIGHT, [1.0; 3]);
@@ -318,8 +318,12 @@ fn nan_and_negative_pixels_are_zeroed_with_a_warning() {
     write_rgb(&capture.views[0].image, &image).unwrap();
     let warnings = Warnings::default();
     let read = capture.views[0].load_image(&warnings).unwrap();
-    assert_eq!((read.data[2], read.data[5]), ([0.0, 1.0, 1.0], [1.0, 0.0, 1.0]));
-    assert_says(&warnings.all()[0], &["view_0.exr", "1 pixels were NaN", "1 negative", "taken as 0"]);
+    assert!(read.data[2].iter().all(|v| v.is_nan()), "{:?}", read.data[2]);
+    assert_eq!(read.data[5], [1.0, 0.0, 1.0]);
+    assert_eq!(capture.views[0].load_picture(&Silent).unwrap().data[2], [0.0; 3]);
+    let usable = capture.views[0].usable(&read).unwrap();
+    assert_eq!((0..WIDTH * HEIGHT).filter(|&i| !usable.data[i]).collect::<Vec<_>>(), [2]);
+    assert_says(&warnings.all()[0], &["view_0.exr", "1 pixels are NaN", "1 negative", "nothing is known"]);
 }
 
 #[test]

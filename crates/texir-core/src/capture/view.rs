@@ -38,10 +38,20 @@ impl View {
         Some(Self { camera, reduction: self.reduction * factor, ..self.clone() })
     }
 
-    /// The radiance, linear, times [`View::scale`]. Channels that no radiance can have are set to 0, and a warning says how many.
+    /// The radiance, linear, times [`View::scale`]. Pixels with a channel that is NaN or infinite are unknown and NaN in all
+    /// channels, negative channels are 0, and a warning says how many.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
+        self.image_with(f32::NAN, progress)
+    }
+
+    /// [`View::load_image`] with black for unknown pixels: for eyes and networks.
+    pub fn load_picture(&self, progress: &dyn Progress) -> Result<Rgb> {
+        self.image_with(0.0, progress)
+    }
+
+    fn image_with(&self, unknown: f32, progress: &dyn Progress) -> Result<Rgb> {
         let mut image = self.sized(&self.image, read_rgb(&self.image)?, mean)?;
-        let found = sanitise_radiance(&mut image);
+        let found = sanitise_radiance(&mut image, unknown);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", self.image.display()));
         }
@@ -66,7 +76,15 @@ impl View {
         self.semantic.as_ref().map(read).transpose()
     }
 
-    /// Pixels to use.
+    /// Which pixels of `image`, which [`View::load_image`] gave, may be used: those that are known and that the mask keeps.
+    pub fn usable(&self, image: &Rgb) -> Result<Mask> {
+        Ok(match self.load_mask()? {
+            Some(mask) => mask.and(&image.finite()),
+            None => image.finite(),
+        })
+    }
+
+    /// Pixels that the mask keeps.
     pub fn load_mask(&self) -> Result<Option<Mask>> {
         self.load(self.mask.as_deref(), read_mask, |kept| kept.iter().all(|kept| *kept))
     }

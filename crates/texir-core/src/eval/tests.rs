@@ -57,13 +57,17 @@ fn camera(shift: f32) -> Camera {
     }
 }
 
-/// A training and a novel view whose images and truth are what the renderer shows of `textures`; the top rows are masked.
+/// A training and a novel view whose images and truth are what the renderer shows of `textures`; the top row is masked, a
+/// pixel unknown.
 fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: &Textures) -> Capture {
     let views = [("a", 0.5, Split::Train), ("b", -0.5, Split::Novel)].map(|(name, shift, split)| {
         let camera = camera(shift);
         let file = |kind: &str| folder.join(format!("{name}_{kind}"));
         let surfaces = renderer.surfaces(&camera, textures).unwrap();
-        write_rgb(file("image.exr"), &renderer.render(&camera, textures, &Silent).unwrap()).unwrap();
+        let mut image = renderer.render(&camera, textures, &Silent).unwrap();
+        // Nothing is known of a pixel amid the others.
+        image.data[32 * 8 + 5] = [f32::NAN; 3];
+        write_rgb(file("image.exr"), &image).unwrap();
         write_rgb(file("albedo.exr"), &surfaces.albedo).unwrap();
         write_gray(file("roughness.exr"), &surfaces.roughness).unwrap();
         let mut mask = surfaces.reflective();

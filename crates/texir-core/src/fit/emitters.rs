@@ -60,7 +60,7 @@ pub fn find(
     Ok(mask)
 }
 
-/// Luminances of the pixels that show each of the given texels.
+/// Luminances of the pixels that show each of the given texels, as far as they are known.
 fn sightings(
     backend: &mut dyn Backend,
     atlas: &Atlas,
@@ -76,7 +76,8 @@ fn sightings(
         for (seen, at) in seen.iter_mut().zip(backend.project(&points, &view.camera)?) {
             if at.distance > 0.0 {
                 let [x, y] = at.pixel.map(|c| c.max(0.0) as usize);
-                seen.push(luminance(image.at(x.min(image.width - 1), y.min(image.height - 1))));
+                let shown = luminance(image.at(x.min(image.width - 1), y.min(image.height - 1)));
+                seen.extend(shown.is_finite().then_some(shown));
             }
         }
     }
@@ -115,6 +116,9 @@ mod tests {
         };
         assert_eq!(found(&radiance, &coverage, &views), [LAMP, SHADE]);
         assert_eq!(found(&radiance, &coverage, &[]), [LAMP, SHADE, BESIDE], "without views the texture decides");
+        let blind = square.views(&truth.map(|_| [f32::NAN; 3]), (256, 128));
+        assert_eq!(found(&radiance, &coverage, &blind), [LAMP, SHADE, BESIDE], "unknown pixels say nothing");
+        let views = square.views(&truth, (256, 128));
         // What no view sees: filled from around, then with the light of the lamp that it is part of.
         coverage.data[SHADE] = Coverage::Inpainted;
         assert_eq!(found(&radiance, &coverage, &views), [LAMP]);

@@ -247,7 +247,7 @@ fn read_float_tiff(path: &Path) -> Result<Rgb> {
     Raster::new(rgb.width() as usize, rgb.height() as usize, rgb.pixels().map(|p| p.0).collect())
 }
 
-/// How many pixels [`sanitise_radiance`] changed.
+/// How many pixels hold what no radiance can be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sanitised {
     /// Pixels with a channel that was NaN or infinite.
@@ -267,19 +267,25 @@ impl std::fmt::Display for Sanitised {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "{} pixels were NaN or infinite and {} negative: those channels are taken as 0",
+            "{} pixels are NaN or infinite and {} negative: of the former nothing is known, channels of the latter are \
+             taken as 0",
             self.non_finite, self.negative
         )
     }
 }
 
-/// Sets channels that no radiance can have (NaN, infinite, negative) to 0, and counts the pixels.
-pub fn sanitise_radiance(image: &mut Rgb) -> Sanitised {
+/// Sets pixels with a channel that is NaN or infinite to `unknown` in all channels, and negative channels to 0; counts the
+/// pixels.
+pub fn sanitise_radiance(image: &mut Rgb, unknown: f32) -> Sanitised {
     let mut found = Sanitised::default();
     for pixel in &mut image.data {
-        found.non_finite += usize::from(pixel.iter().any(|v| !v.is_finite()));
-        found.negative += usize::from(pixel.iter().any(|v| v.is_finite() && *v < 0.0));
-        *pixel = pixel.map(|v| if v.is_finite() && v >= 0.0 { v } else { 0.0 });
+        if pixel.iter().any(|v| !v.is_finite()) {
+            found.non_finite += 1;
+            *pixel = [unknown; 3];
+        } else if pixel.iter().any(|v| *v < 0.0) {
+            found.negative += 1;
+            *pixel = pixel.map(|v| v.max(0.0));
+        }
     }
     found
 }

@@ -24,8 +24,9 @@ impl Photo {
     /// Leaves out what `unmasked` says.
     pub fn new(mut image: Rgb, unmasked: Option<Mask>) -> Self {
         if let Some(unmasked) = &unmasked {
-            let kept = || image.data.iter().zip(&unmasked.data).filter(|(_, kept)| **kept);
-            let mut means: Vec<f32> = kept().map(|(radiance, _)| inpaint::mean(*radiance)).collect();
+            let kept = image.data.iter().zip(&unmasked.data).filter(|(_, kept)| **kept);
+            let means = kept.map(|(radiance, _)| inpaint::mean(*radiance));
+            let mut means: Vec<f32> = means.filter(|mean| mean.is_finite()).collect();
             let middle = means.len() / 2;
             let median = if means.is_empty() { 0.0 } else { *means.select_nth_unstable_by(middle, f32::total_cmp).1 };
             for (radiance, kept) in image.data.iter_mut().zip(&unmasked.data) {

@@ -119,7 +119,7 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
 
 fn read_environment(path: &PathBuf, options: &Authored, session: &Session<'_>) -> Result<Environment, Failure> {
     let mut radiance = read_rgb(path)?;
-    let found = sanitise_radiance(&mut radiance);
+    let found = sanitise_radiance(&mut radiance, 0.0);
     if !found.is_clean() {
         session.console.warn(&format!("{}: {found}", path.display()));
     }

@@ -54,7 +54,7 @@ impl Segmenter {
     /// The ids of a view's pixels.
     fn ids(&self, view: &View, progress: &dyn Progress) -> Result<Labels> {
         progress.check()?;
-        let image = view.load_image(progress)?;
+        let image = view.load_picture(progress)?;
         let camera = at_origin(&view.camera);
         let crops = crops(&camera, self.network.input);
         let seen: Vec<_> = crops.par_iter().map(|crop| cut(&image, &camera, crop)).collect();

@@ -23,8 +23,8 @@ use crate::texture::{Rows, Tap, merge};
 /// The smallest n·v that areas are told at.
 const GRAZING: f32 = 0.05;
 
-/// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked, or see a light source
-/// even in part are left out. Lists are per pixel.
+/// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked or unknown, or see a
+/// light source even in part are left out. Lists are per pixel.
 #[derive(Default)]
 pub struct Observations {
     /// Observed radiance.
@@ -128,7 +128,7 @@ impl Observer<'_> {
     ) -> Result<()> {
         let mesh = &self.scene.mesh;
         let image = view.load_image(progress)?;
-        let mask = view.load_mask()?;
+        let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let fine = view.camera.supersampled(AXIS);
         let hits = backend.primary(&fine)?;
@@ -139,7 +139,7 @@ impl Observer<'_> {
         let lit = |hit: &Hit| hit.is_hit() && self.emitters.data[self.emitters.nearest(hit.uv(mesh))];
         let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
             .into_par_iter()
-            .filter(|&pixel| mask.as_ref().is_none_or(|m| m.data[pixel]))
+            .filter(|&pixel| usable.data[pixel])
             .filter_map(|pixel| {
                 let seen = strata_of(pixel).map(|s| &hits[s]);
                 if seen.iter().any(|hit| lit(hit)) {
@@ -202,5 +202,47 @@ impl Observer<'_> {
         }
         all.views.push(pixels.len());
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::lit_square::{LitSquare, SIDE};
+    use crate::image_io::{read_rgb, write_png_mask, write_rgb};
+    use crate::lights::Lights;
+    use crate::progress::Silent;
+    use crate::raster::Rgb;
+
+    #[test]
+    fn unknown_pixels_are_no_observations() {
+        let square = LitSquare::new();
+        let emitters = Mask::filled(SIDE, SIDE, false);
+        let observer = Observer {
+            scene: &square.scene,
+            atlas: &square.atlas,
+            emitters: &emitters,
+            settings: &FullSettings::default(),
+            seed: 1,
+            checkpoints: &Checkpoints::none(),
+        };
+        let texture = Rgb::filled(SIDE, SIDE, [0.3; 3]);
+        let mut backend = square.backend();
+        backend.set_tbl(&texture, &Lights::none(&square.scene.mesh)).unwrap();
+        let view = &square.views(&texture, (64, 32))[0];
+        let mut observed = |view: &View| observer.observe(&mut backend, std::slice::from_ref(view), &Silent).unwrap();
+        let all = observed(view);
+        let mut image = read_rgb(&view.image).unwrap();
+        let unknown = |i: usize| i % 64 < 32;
+        let folder = tempfile::tempdir().unwrap();
+        let kept = Mask { width: 64, height: 32, data: (0..64 * 32).map(|i| !unknown(i)).collect() };
+        let masked = View { mask: Some(folder.path().join("mask.png")), ..view.clone() };
+        write_png_mask(masked.mask.as_ref().unwrap(), &kept).unwrap();
+        let masked = observed(&masked);
+        (0..64 * 32).filter(|&i| unknown(i)).for_each(|i| image.data[i][1] = f32::INFINITY);
+        write_rgb(&view.image, &image).unwrap();
+        let seen = observed(view);
+        assert!(seen.len() < all.len() - 50 && seen.len() > 50, "{} of {}", seen.len(), all.len());
+        assert_eq!(seen.radiance, masked.radiance);
     }
 }

@@ -18,7 +18,7 @@ use crate::texture::{Footprints, Pyramid};
 const HIGHLIGHT_ROUGHNESS: f32 = 0.01;
 const HIGHLIGHT_SAMPLES: u32 = 16;
 
-/// The pixels of one training view that take part: those that hit the mesh, are not masked and see no light source.
+/// The pixels of one training view that take part: those that hit the mesh, may be used and see no light source.
 /// All lists are per such pixel.
 pub struct FitView {
     /// The view's name.
@@ -74,14 +74,14 @@ impl Surroundings<'_> {
 
     fn prepare_one(&self, backend: &mut dyn Backend, view: &View, progress: &dyn Progress) -> Result<FitView> {
         let image = view.load_image(progress)?;
-        let mask = view.load_mask()?;
+        let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let rooms = view.load_room()?;
         let hits = backend.primary(&view.camera)?;
         let used: Vec<u32> = (0..hits.len() as u32)
             .filter(|&i| {
                 let hit = &hits[i as usize];
-                hit.is_hit() && mask.as_ref().is_none_or(|m| m.data[i as usize]) && !self.is_emitter(hit)
+                hit.is_hit() && usable.data[i as usize] && !self.is_emitter(hit)
             })
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
