@@ -80,6 +80,9 @@ pub struct FullSettings {
     pub cosine_samples: u32,
     /// and to the light sources.
     pub light_samples: u32,
+    /// Blocks lend each other their light samples while what they reflect turns by little beside this share of a lobe's width
+    /// α; 0: not at all.
+    pub curve_sharing: f32,
     /// How the microfacets of highlights hide each other: `smith`, as engines have it, or `schlick`, as the paper does.
     pub masking: Masking,
     /// How diffuse radiance depends on the direction to the camera: `auto`, `lambert` or `burley`.
@@ -178,8 +181,11 @@ pub struct PaletteSettings {
 pub struct AlbedoSettings {
     /// σ of a pixel's albedo: this much,
     pub noise: f32,
-    /// and this share of its apparent albedo I π/E.
+    /// this share of its apparent albedo I π/E,
     pub image_noise: f32,
+    /// and, once roughness is known, this share of the specular radiance that is taken off, as an albedo: where highlights are
+    /// bright, what is left is known badly.
+    pub specular_noise: f32,
     /// Weight of the difference between neighbours, where a pixel of least noise has 1.
     pub smoothness: f32,
     /// Albedo difference from which an edge is believed.
@@ -323,6 +329,7 @@ impl Default for FullSettings {
             lobe_samples: 6,
             cosine_samples: 2,
             light_samples: 12,
+            curve_sharing: 0.3,
             masking: Masking::Smith,
             diffuse: DiffuseChoice::default(),
             albedo: AlbedoSettings::default(),
@@ -344,6 +351,7 @@ impl Default for AlbedoSettings {
         Self {
             noise: 0.02,
             image_noise: 0.1,
+            specular_noise: 1.0,
             smoothness: 0.03,
             edge_scale: 0.03,
             segment_prior: 1e-3,
@@ -417,7 +425,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 29] {
+    fn checks(&self) -> [Check; 31] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -429,8 +437,10 @@ impl FullSettings {
             counts("full.lobe_samples", self.lobe_samples),
             ("full.cosine_samples", self.cosine_samples as f32, self.cosine_samples <= 1024, "at most 1024"),
             ("full.light_samples", self.light_samples as f32, self.light_samples <= 1024, "at most 1024"),
+            not_negative("full.curve_sharing", self.curve_sharing),
             positive("full.albedo.noise", a.noise),
             not_negative("full.albedo.image_noise", a.image_noise),
+            not_negative("full.albedo.specular_noise", a.specular_noise),
             not_negative("full.albedo.smoothness", a.smoothness),
             positive("full.albedo.edge_scale", a.edge_scale),
             positive("full.albedo.segment_prior", a.segment_prior),

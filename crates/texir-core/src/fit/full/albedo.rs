@@ -207,6 +207,20 @@ impl<'a> AlbedoProblem<'a> {
         self.seen.radiance.par_iter().zip(&self.per_irradiance).map(noise).collect()
     }
 
+    /// [`AlbedoProblem::noise`] where roughness is known: what is taken off a dielectric's pixel for a highlight may be wrong
+    /// by a share of itself.
+    pub fn noise_at(&self, roughness: &Roughness<'_>) -> Vec<f32> {
+        let share = self.settings.specular_noise;
+        let mut noise = self.noise(self.settings.image_noise);
+        noise.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(p, noise)| {
+            if self.metal.is_empty() || self.is_metal(p) == Some(false) {
+                let specular = roughness.along(self.seen.curve(p), p) * self.per_irradiance[p];
+                *noise = noise.hypot(share * specular.element_sum() / 3.0);
+            }
+        });
+        noise
+    }
+
     /// Improves `albedo` for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
     pub fn solve(&self, albedo: &mut [Vec3A], target: &Target, sigma: &[f32], rounds: u32, iterations: u32) {
         for _ in 0..rounds {

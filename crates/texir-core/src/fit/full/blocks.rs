@@ -25,7 +25,8 @@ pub struct Patch {
 }
 
 impl Patch {
-    fn like(&self, other: &Self) -> bool {
+    /// Whether both are parts of one flat surface of one class.
+    pub fn like(&self, other: &Self) -> bool {
         let apart = other.position - self.position;
         self.class == other.class
             && self.normal.dot(other.normal) >= SAME_WAY
@@ -40,6 +41,32 @@ pub struct Blocks {
     /// Per block, the pixels (indices into the image) that its four rays' points are taken from; point k is stratum k of
     /// its pixel.
     pub corners: Vec<[usize; STRATA]>,
+    /// What the first pixel of each block sees.
+    pub patches: Vec<Patch>,
+    /// Per block, row and column of its square.
+    squares: Vec<[usize; 2]>,
+    /// Squares in a row.
+    columns: usize,
+    /// The first block of each square, row by row; its others follow.
+    first: Vec<u32>,
+}
+
+impl Blocks {
+    /// The blocks whose squares are at most `reach` rows and columns away, its own among them. The image's sides join, as a
+    /// panorama's do; what that brings together in another image lies in other directions.
+    pub fn around(&self, block: usize, reach: usize) -> impl Iterator<Item = usize> {
+        let [row, column] = self.squares[block];
+        let rows = self.first.len() / self.columns;
+        let reach_across = reach.min((self.columns - 1) / 2);
+        (row.saturating_sub(reach)..(row + reach + 1).min(rows)).flat_map(move |row| {
+            (0..=2 * reach_across).flat_map(move |step| {
+                let column = (column + self.columns + step - reach_across) % self.columns;
+                let square = row * self.columns + column;
+                let end = self.first.get(square + 1).map_or(self.corners.len(), |first| *first as usize);
+                self.first[square] as usize..end
+            })
+        })
+    }
 }
 
 /// Gathers those of the `pixels` (indices into an image `width` wide, ascending) that lie in one square of `edge` pixels
@@ -48,7 +75,16 @@ pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> 
     let square = |pixel: usize| [pixel / width / edge, pixel % width / edge];
     let mut order: Vec<usize> = (0..pixels.len()).collect();
     order.sort_by_key(|&i| square(pixels[i]));
-    let mut blocks = Blocks { of: vec![0; pixels.len()], corners: Vec::new() };
+    let columns = width.div_ceil(edge);
+    let rows = pixels.last().map_or(0, |pixel| pixel / width / edge + 1);
+    let mut blocks = Blocks {
+        of: vec![0; pixels.len()],
+        corners: Vec::new(),
+        patches: Vec::new(),
+        squares: Vec::new(),
+        columns,
+        first: vec![0; columns * rows],
+    };
     for members in order.chunk_by(|&a, &b| square(pixels[a]) == square(pixels[b])) {
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for &i in members {
@@ -59,6 +95,8 @@ pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> 
         }
         for group in groups {
             group.iter().for_each(|&i| blocks.of[i] = blocks.corners.len() as u32);
+            blocks.patches.push(patches[group[0]]);
+            blocks.squares.push(square(pixels[group[0]]));
             let [row, column] = square(pixels[group[0]]).map(|s| s * edge);
             blocks.corners.push(std::array::from_fn(|k| {
                 // Twice the distance to the middle of the quadrant, in halves of pixels: whole numbers.
@@ -70,6 +108,11 @@ pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> 
                 group.iter().map(|&i| pixels[i]).min_by_key(from_middle).unwrap_or_default()
             }));
         }
+    }
+    // Blocks are in the order of their squares.
+    for (square, first) in blocks.first.iter_mut().enumerate() {
+        let place = [square / columns, square % columns];
+        *first = blocks.squares.partition_point(|at| *at < place) as u32;
     }
     blocks
 }
@@ -123,6 +166,26 @@ mod tests {
                 assert_eq!(blocks.of[row * WIDTH + 1], blocks.of[row * WIDTH + 2]);
             }
         }
+    }
+
+    #[test]
+    fn blocks_around_one_are_those_of_the_squares_around_it() {
+        let mixed = |p: usize| Patch { class: (p % 2) as u16, ..wall(p) };
+        let blocks = shared(mixed, 2);
+        let side = WIDTH / 2;
+        for (block, at) in blocks.squares.iter().enumerate() {
+            let mut around: Vec<usize> = blocks.around(block, 1).collect();
+            around.sort_unstable();
+            let near = |a: usize, b: usize| a.abs_diff(b) <= 1;
+            let wraps = |a: usize, b: usize| near(a, b) || a.abs_diff(b) == side - 1;
+            let expected = (0..blocks.corners.len())
+                .filter(|&other| near(at[0], blocks.squares[other][0]) && wraps(at[1], blocks.squares[other][1]));
+            assert_eq!(around, expected.collect::<Vec<_>>());
+        }
+        assert_eq!(
+            blocks.around(0, 100).collect::<std::collections::BTreeSet<_>>().len(),
+            blocks.around(0, 100).count()
+        );
     }
 
     #[test]

@@ -13,6 +13,7 @@ pub mod local;
 pub mod metals;
 pub mod observations;
 pub mod palette;
+mod reflections;
 pub mod scan;
 pub mod segments;
 
@@ -93,16 +94,18 @@ fn recover(
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
     let Scanned { diffuse, mut albedo, evidence, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
-    let sigma = problem.noise(settings.albedo.image_noise);
     let AlbedoSettings { rounds, iterations, .. } = settings.albedo;
+    let solve = |albedo: &mut [Vec3A], roughness: &[f32], rounds: u32| {
+        let of_pixels = looked_up(seen, roughness);
+        let roughness = Roughness::PerPixel(&of_pixels);
+        problem.solve(albedo, &problem.target(&roughness), &problem.noise_at(&roughness), rounds, iterations);
+    };
 
     let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
-    let target = problem.target(&Roughness::PerPixel(&looked_up(seen, &of_texels)));
-    problem.solve(&mut albedo, &target, &sigma, 1, iterations);
+    solve(&mut albedo, &of_texels, 1);
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut roughness = by_colour(&problem, (atlas, texel), (&palettes, &albedo), &by_segment, &evidence, settings);
-    let target = problem.target(&Roughness::PerPixel(&looked_up(seen, &roughness)));
-    problem.solve(&mut albedo, &target, &sigma, rounds, iterations);
+    solve(&mut albedo, &roughness, rounds);
 
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =

@@ -5,7 +5,8 @@ use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
 use super::bands::Bands;
-use super::blocks::{self, AXIS, Blocks, Patch};
+use super::blocks::{self, AXIS, Patch};
+use super::reflections::{self, Mirror};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::brdf::DIELECTRIC_F0;
@@ -172,27 +173,32 @@ impl Observer<'_> {
         };
         let (shown, patches): (Vec<(f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
         let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
-        let Blocks { of, corners } =
-            blocks::share(&indices, &patches, view.camera.width, self.settings.block_edge(&view.camera));
+        let edge = self.settings.block_edge(&view.camera);
+        let blocks = blocks::share(&indices, &patches, view.camera.width, edge);
+        let corners = &blocks.corners;
+        let mirror =
+            |(patch, corners): (&Patch, &[usize; STRATA])| Mirror::new(self.scene, *patch, &points_of(corners[0])[0]);
+        let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
         let number = all.views.len() as u32;
         let sampling = self.settings.sampling(self.seed, number);
         let first = all.curves.len() as u32;
         let mut tables = |step: &str, f0: f32| {
             let mut skipped = view.camera.pixels();
-            let curves = self.checkpoints.array(step, corners.len(), || {
+            let curves: Vec<Curve> = self.checkpoints.array(step, corners.len(), || {
                 skipped -= corners.len();
                 let strata: Vec<[ShadePoint; STRATA]> =
                     corners.par_iter().map(|pixels| std::array::from_fn(|k| points_of(pixels[k])[k])).collect();
                 backend.specular_tables(&strata, f0, sampling, progress)
             })?;
             progress.advance(skipped as u64 * u64::from(sampling.rays()));
-            Ok::<Vec<Curve>, Error>(curves)
+            let angle = edge as f32 * view.camera.pixel_angle();
+            Ok::<_, Error>(reflections::share(&curves, &blocks, &mirrors, angle, self.settings.curve_sharing))
         };
         all.curves.extend(tables(&format!("view-{number}"), DIELECTRIC_F0 as f32)?);
         if self.settings.metallic.enabled {
             all.white_curves.extend(tables(&format!("view-{number}-white"), 1.0)?);
         }
-        all.block.extend(of.iter().map(|block| first + block));
+        all.block.extend(blocks.of.iter().map(|block| first + block));
         all.cosine.extend(shown.iter().map(|(cosine, _)| cosine));
         all.area.extend(shown.iter().map(|(_, area)| area));
         for (pixel, taps) in &pixels {
