@@ -27,6 +27,11 @@ fn repaired(capture: &Capture, parts: &[&str]) {
     let said = succeed(&fit(&input, &out, &["--backend", "cpu", "--no-eval", "--quiet"]));
     said.complains(&["warning"]);
     said.complains(parts);
+    let mut warnings: Vec<&str> = said.err.split("warning: ").collect();
+    let all = warnings.len();
+    warnings.sort_unstable();
+    warnings.dedup();
+    assert_eq!(warnings.len(), all, "the same is said twice: {}", said.err);
     assert!(out.join("scene.glb").is_file());
 }
 
@@ -169,7 +174,7 @@ fn pixels_that_no_radiance_has() {
     image.data[4][1] = f32::INFINITY;
     image.data[70][2] = -1.0;
     write_rgb(&path, &image).unwrap();
-    repaired(&capture, &["hdr/a.exr", "2 pixels were NaN or infinite and 1 negative", "taken as 0"]);
+    repaired(&capture, &["hdr/a.exr", "2 pixels are NaN or infinite and 1 negative", "taken as 0"]);
 }
 
 #[test]
