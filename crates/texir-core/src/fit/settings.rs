@@ -159,6 +159,31 @@ impl Default for LocalSettings {
     }
 }
 
+/// Lines that divide a surface, as joints do boards and grout does tiles, and have a roughness of their own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JointSettings {
+    /// How wide lines may be, metres; 0: joints are not looked for.
+    pub width: f32,
+    /// By how much they are darker or brighter than what is around them, in ln a.
+    pub contrast: f32,
+    /// Share of a segment's texels that its darker or its brighter lines must have.
+    pub least_share: f32,
+    /// Pixels that must see them.
+    pub pixels: u32,
+    /// Pull of the surface on its joints.
+    pub pull: f32,
+    /// By how much a roughness of their own must explain them better, where each half of the views judges by the one that the
+    /// other half asks for: the fall of the logarithm of the mean cost.
+    pub agreement: f32,
+}
+
+impl Default for JointSettings {
+    fn default() -> Self {
+        Self { width: 0.03, contrast: 0.15, least_share: 0.02, pixels: 200, pull: 0.1, agreement: 0.03 }
+    }
+}
+
 /// The prior that segments are painted in few colours.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -207,6 +232,8 @@ pub struct RoughnessSettings {
     pub start: f32,
     /// σ of a pixel's albedo in the scan: the albedo's `noise`, and this share of the apparent albedo.
     pub image_noise: f32,
+    /// What residuals count for by which channels differ, where what they have in common counts 1.
+    pub colour_weight: f32,
     /// Steps of conjugate gradients per roughness.
     pub iterations: u32,
     /// Pixels seen at a smaller cosine do not count: models of grazing reflectance differ most.
@@ -227,6 +254,8 @@ pub struct RoughnessSettings {
     pub colour_pixels: f32,
     /// Within colours.
     pub local: LocalSettings,
+    /// Between boards and tiles.
+    pub joints: JointSettings,
 }
 
 /// Adam and its schedule.
@@ -366,6 +395,7 @@ impl Default for RoughnessSettings {
         Self {
             start: 0.5,
             image_noise: 0.05,
+            colour_weight: 2.0,
             iterations: 4,
             min_cosine: 0.3,
             cap: 0.88,
@@ -376,6 +406,7 @@ impl Default for RoughnessSettings {
             colour_pull: 1.0,
             colour_pixels: 100.0,
             local: LocalSettings::default(),
+            joints: JointSettings::default(),
         }
     }
 }
@@ -425,7 +456,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 31] {
+    fn checks(&self) -> [Check; 37] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -448,6 +479,7 @@ impl FullSettings {
             counts("full.albedo.iterations", a.iterations),
             roughness("full.roughness.start", r.start),
             not_negative("full.roughness.image_noise", r.image_noise),
+            not_negative("full.roughness.colour_weight", r.colour_weight),
             counts("full.roughness.iterations", r.iterations),
             ("full.roughness.min_cosine", r.min_cosine, (0.0..1.0).contains(&r.min_cosine), "in [0, 1)"),
             roughness("full.roughness.cap", r.cap),
@@ -458,6 +490,11 @@ impl FullSettings {
             positive("full.roughness.local.block", r.local.block),
             positive("full.roughness.local.gain", r.local.gain),
             positive("full.roughness.local.agreement", r.local.agreement),
+            ("full.roughness.joints.width", r.joints.width, (0.0..=0.5).contains(&r.joints.width), "in [0, 0.5]"),
+            positive("full.roughness.joints.contrast", r.joints.contrast),
+            share("full.roughness.joints.least_share", r.joints.least_share),
+            not_negative("full.roughness.joints.pull", r.joints.pull),
+            positive("full.roughness.joints.agreement", r.joints.agreement),
             share("full.palette.strength", p.strength),
             positive("full.palette.bandwidth", p.bandwidth),
             positive("full.palette.reach", p.reach),

@@ -29,26 +29,8 @@ const BLOCK: usize = 4096;
 pub enum Roughness<'a> {
     /// That of one node everywhere.
     Node(usize),
-    /// One for each pixel.
-    PerPixel(&'a [f32]),
-}
-
-impl Roughness<'_> {
-    /// That of a pixel.
-    fn of(&self, pixel: usize) -> f32 {
-        match self {
-            Self::Node(k) => node(*k),
-            Self::PerPixel(r) => r[pixel],
-        }
-    }
-
-    /// A pixel's curve there.
-    fn along(&self, curve: &Curve, pixel: usize) -> Vec3A {
-        Vec3A::from(match self {
-            Self::Node(k) => curve.at_node(*k),
-            Self::PerPixel(r) => curve.at(r[pixel]).0,
-        })
-    }
+    /// One for each texel; what a pixel sees of several is what it sees of each.
+    Texels(&'a [f32]),
 }
 
 /// What the pixels say about albedo at some roughness: κ_p π/E_p Σ_t w_t s_t a_t = albedo_p, where s_t is the texel's
@@ -149,8 +131,8 @@ impl<'a> AlbedoProblem<'a> {
                 Some(false) => (self.diffuse_albedo(roughness, p), Vec3A::splat(FRAC_1_PI)),
                 Some(true) => {
                     let f0 = DIELECTRIC_F0 as f32;
-                    let specular = roughness.along(self.seen.curve(p), p);
-                    let scale = (roughness.along(self.seen.white_curve(p), p) - specular) / (1.0 - f0);
+                    let specular = self.along(roughness, self.seen.curve(p), p);
+                    let scale = (self.along(roughness, self.seen.white_curve(p), p) - specular) / (1.0 - f0);
                     let grazing = specular - f0 * scale;
                     ((self.seen.radiance[p] - grazing) * self.per_irradiance[p], scale)
                 }
@@ -162,9 +144,33 @@ impl<'a> AlbedoProblem<'a> {
 
     /// What a pixel says of a dielectric's albedo.
     fn diffuse_albedo(&self, roughness: &Roughness<'_>, pixel: usize) -> Vec3A {
-        let specular = roughness.along(self.seen.curve(pixel), pixel);
-        let factor = self.diffuse.factor(self.seen.cosine[pixel], roughness.of(pixel));
+        let specular = self.along(roughness, self.seen.curve(pixel), pixel);
+        let factor = self.diffuse.factor(self.seen.cosine[pixel], self.mean(roughness, pixel));
         (self.seen.radiance[pixel] - specular) * self.per_irradiance[pixel] / factor
+    }
+
+    /// The mean roughness of what a pixel sees.
+    fn mean(&self, roughness: &Roughness<'_>, pixel: usize) -> f32 {
+        match roughness {
+            Roughness::Node(k) => node(*k),
+            Roughness::Texels(r) => {
+                self.seen.rows.row(pixel).iter().map(|tap| r[tap.texel as usize] * tap.weight).sum()
+            }
+        }
+    }
+
+    /// A pixel's curve at the roughness of what it sees.
+    fn along(&self, roughness: &Roughness<'_>, curve: &Curve, pixel: usize) -> Vec3A {
+        match roughness {
+            Roughness::Node(k) => curve.at_node(*k).into(),
+            Roughness::Texels(r) => {
+                let of = |tap: &Tap| r[tap.texel as usize];
+                let alike = self.seen.rows.row(pixel).chunk_by(|a, b| of(a) == of(b));
+                alike
+                    .map(|taps| taps.iter().map(|tap| tap.weight).sum::<f32>() * Vec3A::from(curve.at(of(&taps[0])).0))
+                    .sum()
+            }
+        }
     }
 
     /// Whether a pixel sees metal; `None` for one that sees both.
@@ -214,7 +220,7 @@ impl<'a> AlbedoProblem<'a> {
         let mut noise = self.noise(self.settings.image_noise);
         noise.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(p, noise)| {
             if self.metal.is_empty() || self.is_metal(p) == Some(false) {
-                let specular = roughness.along(self.seen.curve(p), p) * self.per_irradiance[p];
+                let specular = self.along(roughness, self.seen.curve(p), p) * self.per_irradiance[p];
                 *noise = noise.hypot(share * specular.element_sum() / 3.0);
             }
         });

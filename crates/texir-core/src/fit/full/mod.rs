@@ -1,6 +1,6 @@
 //! The fit in full mode: light samples drawn once, albedo by robust least squares, roughness by a scan per segment.
 //!
-//! labels → observations → segments → scan (→ metals) → hierarchy → albedo. No ray is traced after the observations.
+//! labels → observations → segments → scan (→ metals) → hierarchy → joints → albedo. No ray is traced after the observations.
 
 pub mod albedo;
 pub mod automatic;
@@ -8,6 +8,7 @@ pub mod bands;
 pub mod blocks;
 pub mod hidden;
 pub mod hierarchy;
+pub mod joints;
 pub mod labels;
 pub mod local;
 pub mod metals;
@@ -96,23 +97,30 @@ fn recover(
         scan_models(&mut problem, &segments, settings, progress)?;
     let AlbedoSettings { rounds, iterations, .. } = settings.albedo;
     let solve = |albedo: &mut [Vec3A], roughness: &[f32], rounds: u32| {
-        let of_pixels = looked_up(seen, roughness);
-        let roughness = Roughness::PerPixel(&of_pixels);
+        let roughness = Roughness::Texels(roughness);
         problem.solve(albedo, &problem.target(&roughness), &problem.noise_at(&roughness), rounds, iterations);
     };
 
     let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
     solve(&mut albedo, &of_texels, 1);
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let mut roughness = by_colour(&problem, (atlas, texel), (&palettes, &albedo), &by_segment, &evidence, settings);
-    solve(&mut albedo, &roughness, rounds);
+    let half: Vec<u8> = (0..).zip(&seen.views).flat_map(|(view, n)| repeat_n(view % 2, *n)).collect();
+    let mut roughness =
+        by_colour(&problem, (atlas, texel), (&palettes, &albedo), &by_segment, (&evidence, &half), settings);
+    solve(&mut albedo, &roughness, 1);
+    let joints = joints::find(&problem, &evidence, &half, (&albedo, &roughness), texel, &settings.roughness, progress)?;
+    let with_joints =
+        |roughness: &[f32]| -> Vec<f32> { joints.iter().zip(roughness).map(|(j, r)| j.unwrap_or(*r)).collect() };
+    solve(&mut albedo, &with_joints(&roughness), rounds);
 
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
     let outlier = hidden::outliers(&albedo, segment);
     let known = |t: usize| seen.is_seen[t] && !outlier[t];
+    // What no view sees has no joints: lines do not go on by blurring.
     hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
+    let roughness = with_joints(&roughness);
     // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's.
     const MOST: Vec3A = Vec3A::splat(10.0);
     let corrected: Vec<[f32; 3]> = (0..painted.len())
@@ -202,7 +210,7 @@ fn by_colour(
     (atlas, texel_size): (&Atlas, f32),
     (palettes, albedo): (&Palettes, &[Vec3A]),
     by_segment: &[f32],
-    evidence: &scan::Evidence,
+    (evidence, half): (&scan::Evidence, &[u8]),
     settings: &FullSettings,
 ) -> Vec<f32> {
     let s = &settings.roughness;
@@ -223,25 +231,17 @@ fn by_colour(
     let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
     let level = Level { group: &group, parent: &parent, pull: s.colour_pull, half_believed: s.colour_pixels };
     let settled = settle(evidence, &level);
-    let half: Vec<u8> = (0..).zip(&problem.seen.views).flat_map(|(view, n)| repeat_n(view % 2, *n)).collect();
     let surface = local::Surface {
         width: atlas.width,
         texels: &atlas.texels,
         segment: problem.segment.0,
         whole: by_segment,
         heaviest: &heaviest,
-        half: &half,
+        half,
         texel_size,
     };
     let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();
     local::refine(&surface, evidence, &coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
-}
-
-fn looked_up(seen: &Observations, texels: &[f32]) -> Vec<f32> {
-    (0..seen.len())
-        .into_par_iter()
-        .map(|p| seen.rows.row(p).iter().map(|tap| texels[tap.texel as usize] * tap.weight).sum())
-        .collect()
 }
 
 /// Roughness of every segment: everything → class → class in a room → segment.

@@ -18,7 +18,7 @@ use crate::specular_table::{NODES, nearest_node, node, node_step};
 pub struct Evidence {
     /// Segment of the pixel, or [`NONE`] for one that sees several, or at too grazing an angle.
     pub segment: Vec<u32>,
-    /// Per pixel and node: ln(1 + (e/2σ)²), e without what the segment's grazing term explains.
+    /// Per pixel and node: ln(1 + |e|²/(2σ)²), e without what the segment's grazing term explains.
     pub cost: Vec<[f16; NODES]>,
     /// How much of a say each pixel has, 1 on average.
     pub say: Vec<f32>,
@@ -99,7 +99,7 @@ pub fn scan(
     progress.start(&format!("roughness scan, {model}"), NODES as u64, "roughnesses");
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
-    let mut cost = vec![[f16::ZERO; NODES]; problem.seen.len()];
+    let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
     for k in (0..NODES).rev() {
         progress.check()?;
@@ -111,28 +111,26 @@ pub fn scan(
             }
         });
         problem.solve(albedo, &target, &sigma, 1, settings.iterations);
-        let residual: Vec<f32> = (0..problem.seen.len())
-            .into_par_iter()
-            .map(|p| problem.residual(albedo, &target, p).element_sum() / 3.0)
-            .collect();
+        let residual: Vec<Vec3A> =
+            (0..problem.seen.len()).into_par_iter().map(|p| problem.residual(albedo, &target, p)).collect();
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
         slope
             .iter_mut()
             .zip(&nuisance)
             .for_each(|(slope, [more, _])| slope[k] = (known(slope, k) + more).clamp(-1.0, 1.0));
-        (&mut cost, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
-            |(cost, e, s, segment, cosine)| {
+        (&mut costs, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
+            |(of_pixel, e, s, segment, cosine)| {
                 if *segment != NONE {
                     let [slope, offset] = nuisance[*segment as usize];
-                    let e = e - slope * grazing(*cosine) - offset;
-                    cost[k] = f16::from_f32((e / (2.0 * s)).powi(2).ln_1p());
+                    let e = *e - slope * grazing(*cosine) - offset;
+                    of_pixel[k] = f16::from_f32(cost(e, *s, settings.colour_weight));
                 }
             },
         );
         progress.advance(1);
     }
     progress.finish();
-    Ok(Evidence { segment, cost, say: say(&problem.seen.area), slope })
+    Ok(Evidence { segment, cost: costs, say: say(&problem.seen.area), slope })
 }
 
 /// The slope of a segment's grazing term that the nodes rougher than `k` have found; 0 before there are any.
@@ -167,15 +165,30 @@ fn grazing(cosine: f32) -> f32 {
     (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
+/// Mean of the channels.
+fn grey(e: Vec3A) -> f32 {
+    e.element_sum() / 3.0
+}
+
+/// What a residual e costs, ln(1 + |e|²/(2σ)²). |e|² is what its channels have in common, squared, and `colour_weight` times the
+/// mean square of what they do not: most errors of irradiance are alike in all channels, on surfaces that are nearly grey,
+/// while highlights have the colours of what they reflect.
+pub(super) fn cost(e: Vec3A, sigma: f32, colour_weight: f32) -> f32 {
+    let grey = grey(e);
+    let squared = grey * grey + colour_weight / 3.0 * (e - grey).length_squared();
+    (squared / (2.0 * sigma).powi(2)).ln_1p()
+}
+
 /// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1: real materials
 /// differ from the BRDF in their grazing reflectance (and in retro-reflection), which a scan would take for gloss.
-fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[f32], sigma: &[f32]) -> Vec<[f32; 2]> {
+fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[Vec3A], sigma: &[f32]) -> Vec<[f32; 2]> {
     // Σ ω (1, g, g², e, g e), ω the Cauchy weight.
     let mut sums = vec![[0.0f64; 5]; problem.segment.1];
     for (((segment, e), s), cosine) in segment.iter().zip(residual).zip(sigma).zip(&problem.seen.cosine) {
         if *segment != NONE {
             let g = f64::from(grazing(*cosine));
-            let e64 = f64::from(*e);
+            let e = grey(*e);
+            let e64 = f64::from(e);
             let weight = f64::from(1.0 / (1.0 + (e / (2.0 * s)).powi(2)) / (s * s));
             let terms = [1.0, g, g * g, e64, g * e64];
             sums[*segment as usize].iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);

@@ -4,21 +4,22 @@ use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Level, settle};
+use super::joints;
 use super::observations::Observations;
-use super::scan::{minimum, scan};
+use super::scan::{Evidence, cost, minimum, scan};
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::Masking;
 use crate::cpu::CpuBackend;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
-use crate::fit::settings::{AlbedoSettings, RoughnessSettings};
+use crate::fit::settings::{AlbedoSettings, JointSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::raster::Rgb;
 use crate::scene::Scene;
-use crate::specular_table::{STRATA, TableSampling};
+use crate::specular_table::{NODES, STRATA, TableSampling};
 use crate::surface::SurfacePoint;
 use crate::texture::{Rows, Tap};
 
@@ -175,9 +176,9 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
             settings.metallic = MetallicSettings { enabled, ..MetallicSettings::default() };
             let mut problem = toy.problem(&settings.albedo);
             let mut scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
-            let r = vec![scanned.by_segment[0]; toy.seen.len()];
+            let r = vec![scanned.by_segment[0]; toy.segment.len()];
             let sigma = problem.noise(settings.albedo.image_noise);
-            problem.solve(&mut scanned.albedo, &problem.target(&Roughness::PerPixel(&r)), &sigma, 3, 25);
+            problem.solve(&mut scanned.albedo, &problem.target(&Roughness::Texels(&r)), &sigma, 3, 25);
             (problem.metal.get(floor).copied().unwrap_or(false), r[0], scanned.albedo[floor])
         };
         let (is_metal, r, albedo) = metal(true);
@@ -199,13 +200,67 @@ fn least_squares_recovers_albedo_beside_highlights() {
     let sigma = problem.noise(settings.image_noise);
     let error = |r: f32| {
         let mut albedo = problem.start();
-        problem.solve(&mut albedo, &problem.target(&Roughness::PerPixel(&vec![r; toy.seen.len()])), &sigma, 3, 25);
+        problem.solve(&mut albedo, &problem.target(&Roughness::Texels(&vec![r; toy.segment.len()])), &sigma, 3, 25);
         let seen = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
         seen.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max)
     };
     let (right, wrong) = (error(0.3), error(0.9));
     // Negative control: at the wrong roughness highlights stay in the albedo, as far as robust weights let them.
     assert!(right < 0.005 && wrong > 2.0 * right, "{right} {wrong}");
+}
+
+#[test]
+fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
+    let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
+    let roughness = RoughnessSettings {
+        joints: JointSettings { width: 0.25, pixels: 50, ..JointSettings::default() },
+        ..RoughnessSettings::default()
+    };
+    let is_joint = |t: usize| t % (2 * FLOOR) == 3;
+    let found = |paint: f32, finish: f32| {
+        let material = |t: usize| match is_joint(t) {
+            true => Material::dielectric([paint; 3], finish),
+            false => Material::dielectric([0.5; 3], 0.15),
+        };
+        let toy = toy_of(material, 1.0);
+        let problem = toy.problem(&settings);
+        let surface = vec![0.15; toy.segment.len()];
+        let target = problem.target(&Roughness::Texels(&surface));
+        let mut albedo = problem.start();
+        problem.solve(&mut albedo, &target, &problem.noise(settings.image_noise), 2, 25);
+        let pixels = toy.seen.len();
+        let evidence = Evidence {
+            segment: vec![0; pixels],
+            cost: vec![[half::f16::ZERO; NODES]; pixels],
+            say: vec![1.0; pixels],
+            slope: vec![[0.0; NODES]; 2],
+        };
+        // Every view sees each of the floor's texels once.
+        let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
+        let texel = 2.0 / FLOOR as f32;
+        joints::find(&problem, &evidence, &half, (&albedo, &surface), texel, &roughness, &Silent).unwrap()
+    };
+    let on = |joints: &[Option<f32>]| -> Vec<f32> { joints.iter().flatten().copied().collect() };
+    for (paint, finish) in [(0.25, 0.4), (0.25, 0.6), (0.8, 0.4)] {
+        let joints = found(paint, finish);
+        assert!(joints.iter().enumerate().all(|(t, joint)| joint.is_none() || is_joint(t)));
+        let values = on(&joints);
+        assert_eq!(values.len(), FLOOR, "paint {paint}, finish {finish}");
+        assert!(values.iter().all(|r| (r - finish).abs() < 0.12), "{values:?} for {finish}");
+    }
+    // Negative controls: paint that is as glossy as the floor, and a finish that no paint gives away.
+    assert!(on(&found(0.25, 0.15)).is_empty());
+    assert!(on(&found(0.5, 0.6)).is_empty());
+}
+
+#[test]
+fn colours_in_which_residuals_differ_count_by_their_weight() {
+    let (grey, tint) = (Vec3A::splat(0.1), Vec3A::new(0.1, -0.1, 0.0));
+    let squared = |e: Vec3A, weight: f32| cost(e, 0.5, weight).exp_m1();
+    assert!((squared(grey, 0.0) - 0.01).abs() < 1e-6 && (squared(grey, 2.0) - 0.01).abs() < 1e-6);
+    assert!(squared(tint, 0.0) < 1e-9 && (squared(tint, 3.0) - 0.02).abs() < 1e-6);
+    let mean_square = (grey + tint).length_squared() / 3.0;
+    assert!((squared(grey + tint, 1.0) - mean_square).abs() < 1e-6);
 }
 
 #[test]
