@@ -58,7 +58,7 @@ pub struct Bake {
     #[arg(long)]
     fill_buried: bool,
     /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the output, to
-    /// the same bits. Not for authored scenes [default: all that the map needs]
+    /// the same bits. An authored scene's bounces are kept in memory: what does not fit is refused [default: all that the map needs]
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
     /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]
@@ -104,10 +104,6 @@ impl Bake {
         let quality = self.quality(session)?;
         lightmap::check_extension(&self.output)?;
         if self.is_authored() {
-            if self.max_memory.is_some() {
-                return Err(Failure::new("--max-memory is not for authored scenes, whose bounces are kept in memory")
-                    .help("leave it out, or lower --size"));
-            }
             return authored::run(self, session);
         }
         let (scene, given) = self.load(session)?;

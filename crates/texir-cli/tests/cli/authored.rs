@@ -84,6 +84,6 @@ fn scenes_that_cannot_be_baked_say_why() {
     bake(&scene.with_extension("exr"), &[]).complains(&["scene.glb", "--output"]);
     bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
     bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance"]);
-    bake(&out, &["--max-memory", "1GiB"]).complains(&["--max-memory", "authored"]);
+    bake(&out, &["--max-memory", "1MiB"]).complains(&["max_memory is 1.0 MiB", "32×32", "raise it"]);
     assert!(!out.exists());
 }

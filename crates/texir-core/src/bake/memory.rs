@@ -16,6 +16,9 @@ pub(super) const POINT: u64 = 192;
 /// Bytes that a valid texel takes where all of them are in memory, as measured.
 const TEXEL: u64 = 192;
 
+/// Bytes that a valid texel takes in a bake with bounces, as measured: what [`TEXEL`] counts, light so far, and the last bounce's.
+const BOUNCING: u64 = 340;
+
 /// Bytes per texel of the HDR texture: itself, the backend's, and its texels while the lights among them are found.
 const RADIANCE: u64 = 64;
 
@@ -47,6 +50,26 @@ pub fn keep_within(
         )));
     }
     Ok(Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(limit.0 - beside) })
+}
+
+/// Errors when a bake with bounces, which has all its maps in memory, does not fit `limit`: a map of `[width, height]` texels of
+/// which `valid` are covered, beside the mesh.
+pub fn check_bounces(limit: ByteSize, mesh: &Mesh, [width, height]: [usize; 2], valid: usize) -> Result<()> {
+    let beside = BASE + Scene::memory(mesh);
+    let maps = (width * height) as u64 * RADIANCE + valid as u64 * BOUNCING;
+    let needed = ByteSize(beside + maps);
+    if needed <= limit {
+        return Ok(());
+    }
+    // Maps of the same charts need memory by their area.
+    let share = limit.0.saturating_sub(beside) as f64 / maps as f64;
+    let largest = (width.max(height) as f64 * share.sqrt()) as usize / 64 * 64;
+    let advice = if largest > 0 { format!("raise it, or bake {largest} texels a side") } else { "raise it".into() };
+    Err(Error::invalid(format!(
+        "max_memory is {limit}, but all the light of a scene with {} triangles on a map of {width}×{height} texels needs about \
+         {needed}: {advice}",
+        mesh.triangles.len()
+    )))
 }
 
 /// What is wrong where so many texels lie so close together that they have to be in memory at once, in which `most` fit.

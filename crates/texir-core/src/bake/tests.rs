@@ -312,3 +312,15 @@ fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
     let least = error.split("about ").nth(1).and_then(|rest| rest.split(':').next()).unwrap();
     assert!(plan(ByteSize(least.parse::<ByteSize>().unwrap().0 + (1 << 20)), 16384).is_ok(), "{error}");
 }
+
+#[test]
+fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
+    let (scene, _) = strips();
+    let check = |limit, side: usize| check_bounces(limit, &scene.mesh, [side; 2], side * side);
+    assert!(check(ByteSize::gib(1), 1024).is_ok());
+    let error = check(ByteSize::gib(1), 4096).unwrap_err().to_string();
+    let side: usize = error.split("or bake ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap().parse().unwrap();
+    assert!((1024..4096).contains(&side) && check(ByteSize::gib(1), side).is_ok(), "{error}");
+    let error = check(ByteSize::mib(1), 64).unwrap_err().to_string();
+    assert!(error.ends_with(": raise it"), "{error}");
+}

@@ -6,6 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{self, Bounces, write_lightmapped_glb};
+use texir_core::bake::check_bounces;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
@@ -74,6 +75,9 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
     let scene = Scene::new(model.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
     let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
+    if let Some(limit) = bake.max_memory {
+        check_bounces(limit, &scene.mesh, model.size, atlas.texels.len())?;
+    }
     let surfaces = model.surfaces(backend.as_mut(), &atlas, environment)?;
     if surfaces.is_dark() {
         return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(

@@ -22,7 +22,7 @@ const BLACK: f32 = 0.01;
 const LEAST: f32 = 0.2;
 
 /// Nodes that are tried: every other one, from rough to smooth.
-fn tried() -> impl Iterator<Item = usize> + Clone {
+fn tried() -> impl Iterator<Item = usize> {
     (0..NODES).rev().step_by(2)
 }
 
