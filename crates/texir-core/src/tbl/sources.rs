@@ -15,7 +15,6 @@ use super::photo::Photo;
 use super::shown::pixels_per_steradian;
 use crate::atlas::TexelIndex;
 use crate::backend::Backend;
-use crate::camera::{Camera, Projection};
 use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::inpaint;
@@ -33,6 +32,10 @@ const RAYS_PER_TEXEL: f32 = 1.5;
 /// What the pixels say of a texel counts against this many pixels that say that it is right: texels that are hardly seen
 /// stay as they are.
 const DAMPING: f32 = 0.1;
+/// How often texels that come out as light sources although their blend is dark are looked at in all views. A pixel at the rim
+/// of a lamp that is brighter than its share of the lamp (noise, a pose that is slightly off) makes the bits of wall that it
+/// shows as well shine; in other views, where they are beside no lamp, they are dark. Each round finds a fraction of the last.
+const REVIEWS: usize = 4;
 /// A pixel mixes a light source in when this share of its radiance is the source's.
 const MIXED: f32 = 0.05;
 /// Keeps quotients of black finite; far below any radiance that matters.
@@ -71,10 +74,58 @@ pub(super) fn resolve(
     load: &mut dyn FnMut(usize) -> Result<Photo>,
     blended: &[Option<[f32; 3]>],
 ) -> Result<Surroundings> {
-    let Fusion { scene, atlas, cameras, progress, .. } = *fusion;
     let limit = inpaint::source_limit(blended);
-    let shines = |radiance: &Option<[f32; 3]>| radiance.is_some_and(|radiance| inpaint::mean(radiance) > limit);
-    let points: Vec<_> = atlas.points.iter().zip(blended).filter(|(_, b)| shines(b)).map(|(p, _)| *p).collect();
+    let mut sources: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| inpaint::mean(b) > limit)).collect();
+    let mut explained = explain_around(fusion, backend, load, blended, &sources)?;
+    for _ in 0..REVIEWS {
+        let Explained { texels, radiance, .. } = &explained;
+        let shining = texels.iter().zip(radiance).filter(|(_, radiance)| mean(**radiance) > limit);
+        let new: Vec<usize> = shining.map(|(t, _)| *t as usize).filter(|&t| !sources[t]).collect();
+        if new.is_empty() {
+            break;
+        }
+        new.into_iter().for_each(|texel| sources[texel] = true);
+        explained = explain_around(fusion, backend, load, blended, &sources)?;
+    }
+    let Explained { texels, radiance, place, rows } = explained;
+    let mut shown = vec![0.0; texels.len()];
+    rows.taps.iter().for_each(|tap| shown[tap.texel as usize] += tap.weight);
+
+    let sum = |row: usize, least: f32| -> f32 {
+        let shown = rows.row(row).iter().map(|tap| (mean(radiance[tap.texel as usize]), tap.weight));
+        shown.filter(|(value, _)| *value > least).map(|(value, share)| value * share).sum()
+    };
+    let mut mixed = vec![Vec::new(); fusion.cameras.len()];
+    for (row, &(view, pixel)) in place.iter().enumerate() {
+        if sum(row, limit) > MIXED * sum(row, 0.0) {
+            mixed[view].push(pixel);
+        }
+    }
+    Ok(Surroundings { texels, shown, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
+}
+
+/// Pixels at light sources, and the texels that explain them.
+pub(super) struct Explained {
+    /// The texels that the pixels show,
+    pub(super) texels: Vec<u32>,
+    /// and their radiance.
+    pub(super) radiance: Vec<Vec3>,
+    /// View of each pixel, and index in its image.
+    place: Vec<(usize, usize)>,
+    /// Shares of `texels` in each pixel.
+    rows: Rows,
+}
+
+/// Explains the pixels of all views at and beside the texels that are `sources`.
+pub(super) fn explain_around(
+    fusion: &Fusion<'_>,
+    backend: &mut dyn Backend,
+    load: &mut dyn FnMut(usize) -> Result<Photo>,
+    blended: &[Option<[f32; 3]>],
+    sources: &[bool],
+) -> Result<Explained> {
+    let Fusion { scene, atlas, cameras, progress, .. } = *fusion;
+    let points: Vec<_> = atlas.points.iter().zip(sources).filter(|(_, source)| **source).map(|(p, _)| *p).collect();
     let index = TexelIndex::new(atlas);
     let mut pixels = Pixels::default();
     progress.start("light sources", cameras.len() as u64, "views");
@@ -85,7 +136,7 @@ pub(super) fn resolve(
             let area = atlas.texel_area(&scene.mesh, point.triangle);
             let texels = at.distance / (area * at.cosine * pixels_per_steradian(camera)).sqrt();
             let needed = (RAYS_PER_TEXEL * texels).ceil().clamp(RAYS.0, RAYS.1) as u8;
-            for pixel in around(camera, at.pixel) {
+            for pixel in camera.around(at.pixel.map(|at| at as i64)) {
                 rays[pixel] = rays[pixel].max(needed);
             }
         }
@@ -97,31 +148,7 @@ pub(super) fn resolve(
     let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
     let rows = Rows::from_lists(std::mem::take(&mut pixels.shares));
     let radiance = explain(&rows, &pixels.radiance, &start);
-    let mut shown = vec![0.0; texels.len()];
-    rows.taps.iter().for_each(|tap| shown[tap.texel as usize] += tap.weight);
-
-    let sum = |row: usize, least: f32| -> f32 {
-        let shown = rows.row(row).iter().map(|tap| (mean(radiance[tap.texel as usize]), tap.weight));
-        shown.filter(|(value, _)| *value > least).map(|(value, share)| value * share).sum()
-    };
-    let mut mixed = vec![Vec::new(); cameras.len()];
-    for (row, &(view, pixel)) in pixels.place.iter().enumerate() {
-        if sum(row, limit) > MIXED * sum(row, 0.0) {
-            mixed[view].push(pixel);
-        }
-    }
-    Ok(Surroundings { texels, shown, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
-}
-
-/// The pixel at continuous coordinates and its eight neighbours.
-fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
-    let (width, height) = (camera.width as i64, camera.height as i64);
-    let wraps = camera.projection == Projection::Equirectangular;
-    (0..9).filter_map(move |k| {
-        let (x, y) = (x as i64 + k % 3 - 1, y as i64 + k / 3 - 1);
-        let x = if wraps { x.rem_euclid(width) } else { x };
-        ((0..width).contains(&x) && (0..height).contains(&y)).then_some((y * width + x) as usize)
-    })
+    Ok(Explained { texels, radiance, place: pixels.place, rows })
 }
 
 impl Pixels {

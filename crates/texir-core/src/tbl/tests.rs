@@ -277,6 +277,49 @@ fn a_lamp_as_small_as_a_pixel_keeps_its_power_and_does_not_glow() {
 }
 
 #[test]
+fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
+    // A wall, and half a metre before it a lamp, in other places of it for each camera.
+    let mut mesh = Mesh::default();
+    quad(&mut mesh, 0, Vec3::ZERO, Vec3::X * 4.0, Vec3::Z * 2.5);
+    quad(&mut mesh, 1, Vec3::new(0.0, -3.0, 0.0), Vec3::X * 4.0, Vec3::Y * 3.0);
+    quad(&mut mesh, 2, Vec3::new(1.9, -0.5, 1.2), Vec3::X * 0.2, Vec3::Z * 0.2);
+    let scene = Scene::new(mesh).unwrap();
+    let lamp = |p: Vec3| (p - Vec3::new(2.0, -0.5, 1.3)).abs().max_element() < 0.2;
+    let shine = |p: Vec3, _: Vec3| if lamp(p) { [100.0; 3] } else { [0.5; 3] };
+    let place = |k: usize| Vec3::new(0.5 + 0.25 * k as f32, -2.0, 1.0 + 0.2 * (k % 3) as f32);
+    let cameras: Vec<Camera> = (0..12).map(|k| Camera { width: 256, height: 128, ..panorama(place(k), 0.3) }).collect();
+    // Images are off by up to 10 %.
+    let noisy = |(view, camera): (usize, &Camera)| {
+        let mut image = filtered_photograph(&scene, camera, shine);
+        image.data.iter_mut().enumerate().for_each(|(i, pixel)| {
+            let noise = crate::rng::hash2(i as u32, view as u32) as f32 / u32::MAX as f32 - 0.5;
+            *pixel = pixel.map(|v| v * (1.0 + 0.2 * noise));
+        });
+        image
+    };
+    let images: Vec<Rgb> = cameras.iter().enumerate().map(noisy).collect();
+    let mut backend = CpuBackend::new(&scene);
+    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let is_wall = |texel: usize| atlas.points[texel].triangle < 4;
+    let tbl = fuse_images(&scene, &cameras, &images, &TblOptions::default());
+    let value = |i: usize| tbl.radiance.data[atlas.texels[i] as usize][0];
+    let shining = (0..atlas.points.len()).filter(|&i| is_wall(i) && value(i) > 1.0).count();
+    let lamp: Vec<f32> = (0..atlas.points.len()).filter(|&i| !is_wall(i)).map(value).collect();
+    let power = lamp.iter().sum::<f32>() / lamp.len() as f32 / 100.0;
+    assert!((power - 1.0).abs() < 0.03, "the lamp has {power} of its power");
+    // Negative control: only what is beside the lamp is looked at.
+    let options = TblOptions::default();
+    let fusion = Fusion { scene: &scene, atlas: &atlas, cameras: &cameras, options: &options, progress: &Silent };
+    let mut load = |i: usize| Ok(Photo::new(images[i].clone(), None));
+    let blended = fusion.blend(&mut backend, &mut load, &atlas.points).unwrap();
+    let limit = inpaint::source_limit(&blended);
+    let bright: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| inpaint::mean(b) > limit)).collect();
+    let once = sources::explain_around(&fusion, &mut backend, &mut load, &blended, &bright).unwrap();
+    let mistaken = once.texels.iter().zip(&once.radiance).filter(|(t, r)| is_wall(**t as usize) && r.x > limit).count();
+    assert!(mistaken > 5 && shining == 0, "{shining} texels of the wall shine, {mistaken} without reviews");
+}
+
+#[test]
 fn a_source_shines_on_its_unseen_sides_and_no_further() {
     let scene = Scene::new(room()).unwrap();
     let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
