@@ -25,8 +25,7 @@ use crate::texture::{Rows, Tap, merge};
 const GRAZING: f32 = 0.05;
 
 /// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked or unknown, or see a
-/// light source even in part are left out, and so are those beside a pixel that sees one: glare, blur and small errors of
-/// poses mix it in. Lists are per pixel.
+/// light source even in part are left out. Lists are per pixel.
 #[derive(Default)]
 pub struct Observations {
     /// Observed radiance.
@@ -139,18 +138,16 @@ impl Observer<'_> {
             std::array::from_fn(|k| (y + k / AXIS) * fine.width + x + k % AXIS)
         };
         let lit = |hit: &Hit| hit.is_hit() && self.emitters.data[self.emitters.nearest(hit.uv(mesh))];
-        let shows_light = |pixel: usize| strata_of(pixel).iter().any(|&s| lit(&hits[s]));
-        let shows_light: Vec<bool> = (0..view.camera.pixels()).into_par_iter().map(shows_light).collect();
-        let by_light = |pixel: usize| {
-            let place = [pixel % view.camera.width, pixel / view.camera.width].map(|at| at as i64);
-            view.camera.around(place).any(|beside| shows_light[beside])
-        };
         let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
             .into_par_iter()
-            .filter(|&pixel| usable.data[pixel] && !by_light(pixel))
+            .filter(|&pixel| usable.data[pixel])
             .filter_map(|pixel| {
-                let seen = strata_of(pixel).into_iter().map(|s| &hits[s]).filter(|hit| hit.is_hit());
-                let mut taps: Vec<Tap> = seen.flat_map(|hit| index.bilinear(hit.uv(mesh))).collect();
+                let seen = strata_of(pixel).map(|s| &hits[s]);
+                if seen.iter().any(|hit| lit(hit)) {
+                    return None;
+                }
+                let mut taps: Vec<Tap> =
+                    seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(mesh))).collect();
                 merge(&mut taps);
                 (!taps.is_empty()).then_some((pixel, taps))
             })
@@ -222,35 +219,6 @@ mod tests {
     use crate::lights::Lights;
     use crate::progress::Silent;
     use crate::raster::Rgb;
-
-    #[test]
-    fn pixels_at_and_beside_a_light_source_are_no_observations() {
-        let square = LitSquare::new();
-        let texture = Rgb::filled(SIDE, SIDE, [0.3; 3]);
-        let mut backend = square.backend();
-        backend.set_tbl(&texture, &Lights::none(&square.scene.mesh)).unwrap();
-        let view = &square.views(&texture, (128, 64))[0];
-        let observed = |backend: &mut dyn Backend, emitters: &Mask| {
-            let (settings, checkpoints) = (FullSettings::default(), Checkpoints::none());
-            let (scene, atlas) = (&square.scene, &square.atlas);
-            let observer = Observer { scene, atlas, emitters, settings: &settings, seed: 1, checkpoints: &checkpoints };
-            observer.observe(backend, std::slice::from_ref(view), &Silent).unwrap()
-        };
-        let middle = |i: usize| [i % SIDE, i / SIDE].iter().all(|at| at.abs_diff(SIDE / 2) < SIDE / 8);
-        let lamp = Mask { width: SIDE, height: SIDE, data: (0..SIDE * SIDE).map(middle).collect() };
-        let none = Mask::filled(SIDE, SIDE, false);
-        let (with, without) = (observed(&mut backend, &lamp), observed(&mut backend, &none));
-        // How many pixels show the lamp is what is brighter when only it shines.
-        let glowing =
-            Rgb::new(SIDE, SIDE, lamp.data.iter().map(|&lit| [f32::from(u8::from(lit)); 3]).collect()).unwrap();
-        let image = read_rgb(&square.views(&glowing, (128, 64))[0].image).unwrap();
-        let shown = image.data.iter().filter(|pixel| pixel[0] > 0.0).count();
-        let left_out = without.len() - with.len();
-        // A square of n pixels has 4 √n + 4 around it.
-        let beside = 4.0 * (shown as f32).sqrt() + 4.0;
-        let expected = shown as f32 + beside;
-        assert!(shown > 8 && (left_out as f32 - expected).abs() < 0.5 * beside, "{left_out} left out, {shown} shown");
-    }
 
     #[test]
     fn unknown_pixels_are_no_observations() {
