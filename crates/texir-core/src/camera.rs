@@ -142,17 +142,6 @@ impl Camera {
         across.cross(down).length()
     }
 
-    /// The pixel in a column and row and its eight neighbours, as far as they are in the image; a panorama's sides join.
-    pub fn around(&self, [column, row]: [i64; 2]) -> impl Iterator<Item = usize> {
-        let (width, height) = (self.width as i64, self.height as i64);
-        let wraps = self.projection == Projection::Equirectangular;
-        (0..9).filter_map(move |k| {
-            let (x, y) = (column + k % 3 - 1, row + k / 3 - 1);
-            let x = if wraps { x.rem_euclid(width) } else { x };
-            ((0..width).contains(&x) && (0..height).contains(&y)).then_some((y * width + x) as usize)
-        })
-    }
-
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height

@@ -15,6 +15,7 @@ use super::photo::Photo;
 use super::shown::pixels_per_steradian;
 use crate::atlas::TexelIndex;
 use crate::backend::Backend;
+use crate::camera::{Camera, Projection};
 use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::inpaint;
@@ -136,7 +137,7 @@ pub(super) fn explain_around(
             let area = atlas.texel_area(&scene.mesh, point.triangle);
             let texels = at.distance / (area * at.cosine * pixels_per_steradian(camera)).sqrt();
             let needed = (RAYS_PER_TEXEL * texels).ceil().clamp(RAYS.0, RAYS.1) as u8;
-            for pixel in camera.around(at.pixel.map(|at| at as i64)) {
+            for pixel in around(camera, at.pixel) {
                 rays[pixel] = rays[pixel].max(needed);
             }
         }
@@ -149,6 +150,17 @@ pub(super) fn explain_around(
     let rows = Rows::from_lists(std::mem::take(&mut pixels.shares));
     let radiance = explain(&rows, &pixels.radiance, &start);
     Ok(Explained { texels, radiance, place: pixels.place, rows })
+}
+
+/// The pixel at continuous coordinates and its eight neighbours.
+fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
+    let (width, height) = (camera.width as i64, camera.height as i64);
+    let wraps = camera.projection == Projection::Equirectangular;
+    (0..9).filter_map(move |k| {
+        let (x, y) = (x as i64 + k % 3 - 1, y as i64 + k / 3 - 1);
+        let x = if wraps { x.rem_euclid(width) } else { x };
+        ((0..width).contains(&x) && (0..height).contains(&y)).then_some((y * width + x) as usize)
+    })
 }
 
 impl Pixels {
