@@ -3,6 +3,7 @@
 
 use glam::Vec3;
 
+use crate::backend::ShadePoint;
 use crate::specular_table::STRATA;
 
 /// Normals of pixels that share samples differ by less than the angle of this cosine.
@@ -22,13 +23,27 @@ pub struct Patch {
     pub normal: Vec3,
     /// Its semantic class.
     pub class: u16,
+    /// Whether the pixel sees another surface besides.
+    pub mixed: bool,
 }
 
 impl Patch {
-    /// Whether both are parts of one flat surface of one class.
+    /// What a pixel sees whose strata show these points: the first, and whether all others are parts of its surface.
+    pub fn of(points: &[ShadePoint; STRATA], class: u16) -> Self {
+        let at = |point: &ShadePoint| {
+            let (position, normal) = (point.position.into(), point.normal.into());
+            Self { position, normal, class, mixed: false }
+        };
+        let first = at(&points[0]);
+        Self { mixed: points.iter().any(|point| !first.like(&at(point))), ..first }
+    }
+
+    /// Whether both are parts of one flat surface of one class. Pixels across an edge are like each other only: beyond it may
+    /// lie what reflects a window that the surface does not.
     pub fn like(&self, other: &Self) -> bool {
         let apart = other.position - self.position;
-        self.class == other.class
+        self.mixed == other.mixed
+            && self.class == other.class
             && self.normal.dot(other.normal) >= SAME_WAY
             && self.normal.dot(apart).abs() <= FLAT * apart.length()
     }
@@ -119,13 +134,15 @@ pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> 
 
 #[cfg(test)]
 mod tests {
+    use bytemuck::Zeroable;
+
     use super::*;
 
     const WIDTH: usize = 8;
 
     fn wall(pixel: usize) -> Patch {
         let position = Vec3::new((pixel % WIDTH) as f32, (pixel / WIDTH) as f32, 0.0);
-        Patch { position, normal: Vec3::Z, class: 1 }
+        Patch { position, normal: Vec3::Z, class: 1, mixed: false }
     }
 
     fn shared(patch: impl Fn(usize) -> Patch, edge: usize) -> Blocks {
@@ -154,7 +171,7 @@ mod tests {
     fn edges_classes_and_steps_are_not_shared_across() {
         let fold = |p: usize| match wall(p).position {
             at if at.x < 3.0 => wall(p),
-            at => Patch { position: Vec3::new(3.0, at.y, at.x), normal: Vec3::X, class: 1 },
+            at => Patch { position: Vec3::new(3.0, at.y, at.x), normal: Vec3::X, class: 1, mixed: false },
         };
         let label = |p: usize| Patch { class: u16::from(p % WIDTH < 3), ..wall(p) };
         let step =
@@ -166,6 +183,30 @@ mod tests {
                 assert_eq!(blocks.of[row * WIDTH + 1], blocks.of[row * WIDTH + 2]);
             }
         }
+    }
+
+    #[test]
+    fn pixels_across_an_edge_are_not_shared_with_those_beside_it() {
+        // The wall ends within the pixels of column 3: their right strata see what is a metre behind it.
+        let point = |at: Vec3| ShadePoint { position: at.into(), normal: Vec3::Z.into(), ..Zeroable::zeroed() };
+        let seen = |behind: f32| {
+            move |p: usize| {
+                let at = wall(p).position;
+                let points = std::array::from_fn(|k| {
+                    let right = (k % AXIS) as f32;
+                    let depth = if p % WIDTH == 3 { behind * right } else { 0.0 };
+                    point(at + Vec3::new(0.5 * right, 0.5 * (k / AXIS) as f32, -depth))
+                });
+                Patch::of(&points, 1)
+            }
+        };
+        let blocks = shared(seen(1.0), 4);
+        assert_eq!(blocks.corners.len(), 6);
+        for (p, block) in blocks.of.iter().enumerate() {
+            let is_edge = |p: usize| p % WIDTH == 3;
+            assert!(blocks.corners[*block as usize].iter().all(|corner| is_edge(*corner) == is_edge(p)), "pixel {p}");
+        }
+        assert_eq!(shared(seen(0.0), 4).corners.len(), 4, "the same without an edge");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would shine
 //! at any roughness.
 
-use glam::{Vec3, Vec3A};
+use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::bands::Bands;
@@ -165,11 +165,10 @@ impl Observer<'_> {
         let seen_by = |&(pixel, _): &(usize, Vec<Tap>)| {
             let points = points_of(pixel);
             let cosine = points.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32;
-            let [first, ..] = points;
-            let (position, normal) = (Vec3::from(first.position), Vec3::from(first.normal));
-            let distance = position.distance(view.camera.position());
+            let patch = Patch::of(&points, label(&classes, pixel));
+            let distance = patch.position.distance(view.camera.position());
             let area = view.camera.solid_angle(pixel) * distance * distance / cosine.max(GRAZING);
-            ((cosine, area), Patch { position, normal, class: label(&classes, pixel) })
+            ((cosine, area), patch)
         };
         let (shown, patches): (Vec<(f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
         let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();

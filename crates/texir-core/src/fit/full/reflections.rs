@@ -110,7 +110,7 @@ mod tests {
             .map(|p| {
                 let [x, z] = [p % WIDTH, p / WIDTH].map(|i| (i as f32 - 15.5) * ANGLE);
                 let direction = Vec3::new(x, 1.0, z);
-                let patch = Patch { position: 2.0 * direction, normal: -Vec3::Y, class: class(p) };
+                let patch = Patch { position: 2.0 * direction, normal: -Vec3::Y, class: class(p), mixed: false };
                 Mirror { patch, direction: direction.normalize(), distance }
             })
             .collect();
