@@ -43,7 +43,8 @@ struct Said {
 }
 
 /// Roughness of the texels that lie on joints; `None` elsewhere, and on those that are like their surface. `roughness` is that of
-/// the texels without joints, `half` the half of the views that each pixel belongs to, `texel` the edge of a typical texel, metres.
+/// the texels without joints, `half` the half of the views that each pixel belongs to ([`Evidence::halves`]), `texel` the edge
+/// of a typical texel, metres.
 pub fn find(
     problem: &AlbedoProblem<'_>,
     evidence: &Evidence,

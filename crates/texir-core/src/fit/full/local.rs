@@ -26,7 +26,7 @@ pub struct Surface<'a> {
     pub whole: &'a [f32],
     /// The texel that each pixel sees most of, or [`NONE`].
     pub heaviest: &'a [u32],
-    /// Half of the views that each pixel belongs to: 0 or 1.
+    /// Half of the views that each pixel belongs to ([`Evidence::halves`]).
     pub half: &'a [u8],
     /// Edge of a typical texel, metres.
     pub texel_size: f32,

@@ -19,7 +19,6 @@ pub mod scan;
 pub mod segments;
 
 use std::f32::consts::PI;
-use std::iter::repeat_n;
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -104,7 +103,7 @@ fn recover(
     let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
     solve(&mut albedo, &of_texels, 1);
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let half: Vec<u8> = (0..).zip(&seen.views).flat_map(|(view, n)| repeat_n(view % 2, *n)).collect();
+    let half = evidence.halves(&seen.views);
     let mut roughness =
         by_colour(&problem, (atlas, texel), (&palettes, &albedo), &by_segment, (&evidence, &half), settings);
     solve(&mut albedo, &roughness, 1);

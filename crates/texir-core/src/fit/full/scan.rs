@@ -3,6 +3,8 @@
 //! Descending from a start is not enough: from a smooth start, lobes that miss every lamp have no gradient, and from a rough
 //! one they broaden until they fade. A scan has no start.
 
+use std::iter::repeat_n;
+
 use glam::Vec3A;
 use half::f16;
 use rayon::prelude::*;
@@ -36,6 +38,22 @@ impl Evidence {
         sum / count.max(1) as f64
     }
 
+    /// The half of the views, 0 or 1, that each pixel belongs to, so that what one half says of a segment can be judged by the
+    /// other: its views are dealt out from the one that says most of it, each to the half that has said less. `views` are
+    /// the numbers of pixels of the views.
+    pub fn halves(&self, views: &[usize]) -> Vec<u8> {
+        let view_of_pixel = || (0..).zip(views).flat_map(|(view, pixels)| repeat_n(view, *pixels));
+        let mut said = vec![vec![0.0; views.len()]; self.slope.len()];
+        for ((segment, say), view) in self.segment.iter().zip(&self.say).zip(view_of_pixel()) {
+            if *segment != NONE {
+                said[*segment as usize][view] += say;
+            }
+        }
+        let half: Vec<Vec<u8>> = said.iter().map(|said| dealt(said)).collect();
+        let of_pixel = |(segment, view): (&u32, usize)| half.get(*segment as usize).map_or(0, |half| half[view]);
+        self.segment.iter().zip(view_of_pixel()).map(of_pixel).collect()
+    }
+
     /// Takes what `other` says of the segments of which `which` is true.
     pub fn take(&mut self, other: &Self, which: &[bool]) {
         for (p, segment) in self.segment.iter().enumerate() {
@@ -45,6 +63,19 @@ impl Evidence {
         }
         (0..self.slope.len()).filter(|s| which[*s]).for_each(|s| self.slope[s] = other.slope[s]);
     }
+}
+
+/// Deals weights out from the largest, each to the half, 0 or 1, that has less.
+fn dealt(weights: &[f32]) -> Vec<u8> {
+    let mut order: Vec<usize> = (0..weights.len()).collect();
+    order.sort_by(|a, b| weights[*b].total_cmp(&weights[*a]));
+    let (mut half, mut sums) = (vec![0; weights.len()], [0.0; 2]);
+    for i in order {
+        let lighter = usize::from(sums[1] < sums[0]);
+        sums[lighter] += weights[i];
+        half[i] = lighter as u8;
+    }
+    half
 }
 
 /// Cost below which nothing counts as explained better: images and models are not that exact.

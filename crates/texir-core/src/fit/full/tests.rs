@@ -277,6 +277,20 @@ fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_i
 }
 
 #[test]
+fn halves_of_the_views_say_alike_much_of_each_segment() {
+    // Two pixels of each view; the first segment is seen by views 0 and 2 alone.
+    let views = [2, 2, 2, 2];
+    let segment = vec![0, 1, 1, 1, 0, 1, 1, NONE];
+    let cost = vec![[half::f16::ZERO; NODES]; 8];
+    let say = vec![1.0, 5.0, 1.0, 1.0, 1.0, 3.0, 1.0, 1.0];
+    let evidence = Evidence { segment, cost, say, slope: vec![[0.0; NODES]; 2] };
+    let half = evidence.halves(&views);
+    assert_ne!(half[0], half[4]);
+    // Of the second, views 0 to 3 say 5, 2, 3 and 1: 5 against 3 and 2, and 1 anywhere.
+    assert!(half[1] != half[5] && half[5] == half[2] && half[2] == half[3], "{half:?}");
+}
+
+#[test]
 fn confidence_is_high_where_costs_rise_and_zero_without_pixels() {
     use super::hierarchy::confidence;
     use crate::specular_table::{NODES, node};
