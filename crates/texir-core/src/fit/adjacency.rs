@@ -54,6 +54,20 @@ impl Adjacency {
         let across = self.seams[first..].iter().take_while(move |pair| pair[0] == texel).map(|pair| pair[1]);
         self.beside[texel as usize].into_iter().filter(|&n| n != NONE).chain(across)
     }
+
+    /// All texels that one touches: those [around](Self::around) it, and those at its corners in the chart.
+    pub fn touching(&self, texel: u32) -> impl Iterator<Item = u32> + '_ {
+        let step = |from: u32, side: usize| match from {
+            NONE => NONE,
+            from => self.beside[from as usize][side],
+        };
+        let corner = move |(across, along): (usize, usize)| match step(step(texel, across), along) {
+            NONE => step(step(texel, along), across),
+            corner => corner,
+        };
+        let corners = [(0, 2), (0, 3), (1, 2), (1, 3)].into_iter().map(corner);
+        self.around(texel).chain(corners.filter(|&n| n != NONE))
+    }
 }
 
 /// Texels on the two sides of every mesh edge whose faces lie in different charts.

@@ -11,6 +11,7 @@ mod lit_square;
 pub mod memory;
 pub mod paper;
 pub mod settings;
+pub mod unseen;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
@@ -21,7 +22,6 @@ use glam::Vec3;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
-use crate::bake;
 use crate::brdf::Masking;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
@@ -132,12 +132,11 @@ pub fn fit(
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
-    let lights = Lights::find(scene, &atlas, &tbl.radiance);
-    backend.set_tbl(&tbl.radiance, &lights)?;
     let rays = settings.irradiance_rays(atlas.typical_texel(&scene.mesh));
     let gather = Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
-    let irradiance =
-        bake::denoised(backend, &scene.mesh, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
+    let unseen_rays = if settings.mode == Mode::Full { settings.full.unseen_rays } else { 0 };
+    let (irradiance, lights) =
+        unseen::irradiance(backend, (scene, &atlas), &mut tbl, (gather, unseen_rays), checkpoints, progress)?;
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);

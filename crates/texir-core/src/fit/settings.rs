@@ -72,6 +72,9 @@ pub struct FullSettings {
     /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one built
     /// from the views are.
     pub resolve_sources: bool,
+    /// Rays per texel that find, twice, how much light reaches it from surfaces that no view sees; 0: what the HDR texture was
+    /// filled with there is taken for what they send.
+    pub unseen_rays: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
     /// Light samples of each of a block's four points: per lobe of five,
@@ -167,6 +170,8 @@ pub struct JointSettings {
     pub width: f32,
     /// By how much they are darker or brighter than what is around them, in ln a.
     pub contrast: f32,
+    /// How long they must be, metres, counted in texels that touch.
+    pub length: f32,
     /// Share of a segment's texels that its darker or its brighter lines must have.
     pub least_share: f32,
     /// Pixels that must see them.
@@ -180,7 +185,7 @@ pub struct JointSettings {
 
 impl Default for JointSettings {
     fn default() -> Self {
-        Self { width: 0.03, contrast: 0.15, least_share: 0.02, pixels: 200, pull: 0.1, agreement: 0.03 }
+        Self { width: 0.03, contrast: 0.15, length: 0.04, least_share: 0.02, pixels: 200, pull: 0.03, agreement: 0.03 }
     }
 }
 
@@ -354,6 +359,7 @@ impl Default for FullSettings {
     fn default() -> Self {
         Self {
             resolve_sources: true,
+            unseen_rays: 16,
             block_angle: 1.4,
             lobe_samples: 6,
             cosine_samples: 2,

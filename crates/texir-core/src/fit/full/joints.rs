@@ -79,7 +79,7 @@ pub fn find(
     Ok(group.into_iter().map(|g| chosen[g?]).collect())
 }
 
-/// Which seen texels lie on lines at most [`JointSettings::width`] wide, by closing and opening the logarithm of albedo within
+/// Which seen texels lie on lines at most [`JointSettings::width`] wide and at least [`JointSettings::length`] long, by closing and opening the logarithm of albedo within
 /// segments (top-hat transforms; Serra, "Image Analysis and Mathematical Morphology", 1982).
 fn stand_out(problem: &AlbedoProblem<'_>, albedo: &[Vec3A], texel: f32, settings: &JointSettings) -> Vec<Option<Line>> {
     let segment = problem.segment.0;
@@ -104,7 +104,33 @@ fn stand_out(problem: &AlbedoProblem<'_>, albedo: &[Vec3A], texel: f32, settings
             false => None,
         }
     };
-    (0..ln.len()).into_par_iter().map(line).collect()
+    let lines: Vec<Option<Line>> = (0..ln.len()).into_par_iter().map(line).collect();
+    long(problem, &lines, (settings.length / texel).round() as usize)
+}
+
+/// The lines of at least `least` texels that touch: what stands out by itself is noise (an area opening; Vincent, "Morphological
+/// area openings and closings for grey-scale images", 1994).
+fn long(problem: &AlbedoProblem<'_>, lines: &[Option<Line>], least: usize) -> Vec<Option<Line>> {
+    let segment = problem.segment.0;
+    let mut long = vec![None; lines.len()];
+    let mut reached: Vec<bool> = lines.iter().map(Option::is_none).collect();
+    for start in 0..lines.len() {
+        if std::mem::replace(&mut reached[start], true) {
+            continue;
+        }
+        let mut line = vec![start as u32];
+        let mut at = 0;
+        while let Some(&t) = line.get(at) {
+            at += 1;
+            let goes_on = |n: usize| segment[n] == segment[start] && lines[n] == lines[start];
+            let touching = problem.adjacency.touching(t).filter(|n| goes_on(*n as usize));
+            line.extend(touching.filter(|n| !std::mem::replace(&mut reached[*n as usize], true)));
+        }
+        if line.len() >= least {
+            line.into_iter().for_each(|t| long[t as usize] = lines[start]);
+        }
+    }
+    long
 }
 
 /// Of each segment: how many texels it has, how many lie on darker and on brighter lines; and its mean roughness.

@@ -212,12 +212,11 @@ fn least_squares_recovers_albedo_beside_highlights() {
 #[test]
 fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
-    let roughness = RoughnessSettings {
-        joints: JointSettings { width: 0.25, pixels: 50, ..JointSettings::default() },
-        ..RoughnessSettings::default()
-    };
-    let is_joint = |t: usize| t % (2 * FLOOR) == 3;
-    let found = |paint: f32, finish: f32| {
+    let found = |is_joint: fn(usize) -> bool, length: f32, paint: f32, finish: f32| {
+        let roughness = RoughnessSettings {
+            joints: JointSettings { width: 0.25, length, pixels: 50, ..JointSettings::default() },
+            ..RoughnessSettings::default()
+        };
         let material = |t: usize| match is_joint(t) {
             true => Material::dielectric([paint; 3], finish),
             false => Material::dielectric([0.5; 3], 0.15),
@@ -241,16 +240,25 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         joints::find(&problem, &evidence, &half, (&albedo, &surface), texel, &roughness, &Silent).unwrap()
     };
     let on = |joints: &[Option<f32>]| -> Vec<f32> { joints.iter().flatten().copied().collect() };
-    for (paint, finish) in [(0.25, 0.4), (0.25, 0.6), (0.8, 0.4)] {
-        let joints = found(paint, finish);
+    // Texels are 0.25 m wide. The diagonal's touch at their corners.
+    let column = |t: usize| t % (2 * FLOOR) == 3;
+    let diagonal = |t: usize| t % (2 * FLOOR) == t / (2 * FLOOR);
+    let specks = |t: usize| t % (2 * FLOOR) < FLOOR && t % (2 * FLOOR) % 3 == 1 && t / (2 * FLOOR) % 3 == 1;
+    for (is_joint, paint, finish) in
+        [(column as fn(usize) -> bool, 0.25, 0.4), (column, 0.25, 0.6), (column, 0.8, 0.4), (diagonal, 0.25, 0.5)]
+    {
+        let joints = found(is_joint, 1.0, paint, finish);
         assert!(joints.iter().enumerate().all(|(t, joint)| joint.is_none() || is_joint(t)));
         let values = on(&joints);
         assert_eq!(values.len(), FLOOR, "paint {paint}, finish {finish}");
         assert!(values.iter().all(|r| (r - finish).abs() < 0.12), "{values:?} for {finish}");
     }
-    // Negative controls: paint that is as glossy as the floor, and a finish that no paint gives away.
-    assert!(on(&found(0.25, 0.15)).is_empty());
-    assert!(on(&found(0.5, 0.6)).is_empty());
+    // Negative controls: paint that is as glossy as the floor, a finish that no paint gives away, and what is no line, unless
+    // single texels are taken for one.
+    assert!(on(&found(column, 1.0, 0.25, 0.15)).is_empty());
+    assert!(on(&found(column, 1.0, 0.5, 0.6)).is_empty());
+    assert!(on(&found(specks, 1.0, 0.25, 0.5)).is_empty());
+    assert_eq!(on(&found(specks, 0.25, 0.25, 0.5)).len(), 9);
 }
 
 #[test]
