@@ -33,3 +33,27 @@ impl Progress for Silent {
         false
     }
 }
+
+/// The same progress, of tasks that are named after what they are `of` as well: a pass may run for several things in turn.
+pub struct Named<'a> {
+    pub progress: &'a dyn Progress,
+    pub of: &'a str,
+}
+
+impl Progress for Named<'_> {
+    fn start(&self, task: &str, total: u64, unit: &str) {
+        self.progress.start(&format!("{task} {}", self.of), total, unit);
+    }
+    fn advance(&self, done: u64) {
+        self.progress.advance(done);
+    }
+    fn finish(&self) {
+        self.progress.finish();
+    }
+    fn warn(&self, message: &str) {
+        self.progress.warn(message);
+    }
+    fn cancelled(&self) -> bool {
+        self.progress.cancelled()
+    }
+}

@@ -19,7 +19,7 @@ use crate::checkpoint::Checkpoints;
 use crate::error::Result;
 use crate::inpaint;
 use crate::lights::Lights;
-use crate::progress::Progress;
+use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use crate::scene::Scene;
 
@@ -58,6 +58,7 @@ pub fn irradiance(
     backend.set_tbl(&shown, &lights)?;
     let Baked { irradiance: from_seen, buried, standard_error, rays } =
         bake::denoised(backend, &scene.mesh, atlas, gather, checkpoints, progress)?;
+    let progress = &Named { progress, of: "of the unseen" };
     let few = Gather { cosine: unseen_rays, light: 0, ..gather };
     let plus = |unseen: Vec<[f32; 3]>| -> Vec<Vec3> {
         from_seen.par_iter().zip(unseen).map(|(a, b)| Vec3::from(*a) + Vec3::from(b)).collect()
