@@ -34,9 +34,11 @@ impl Progress for Silent {
     }
 }
 
-/// The same progress, of tasks that are named after what they are `of` as well: a pass may run for several things in turn.
+/// Names tasks after what they are for as well, as one pass may run for several things in turn.
 pub struct Named<'a> {
+    /// Where it is reported.
     pub progress: &'a dyn Progress,
+    /// What follows the name of a task.
     pub of: &'a str,
 }
 

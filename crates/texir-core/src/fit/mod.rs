@@ -4,6 +4,7 @@
 
 pub mod adam;
 pub mod adjacency;
+pub mod diffused;
 pub mod emitters;
 pub mod full;
 #[cfg(test)]
@@ -134,39 +135,51 @@ pub fn fit(
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     let rays = settings.irradiance_rays(atlas.typical_texel(&scene.mesh));
     let gather = Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
-    let unseen_rays = if settings.mode == Mode::Full { settings.full.unseen_rays } else { 0 };
-    let (irradiance, lights) =
-        unseen::irradiance(backend, (scene, &atlas), &mut tbl, (gather, unseen_rays), checkpoints, progress)?;
-    timings.mark("irradiance");
-
-    let light = (&tbl, &irradiance);
-    let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
-    if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
-        return Err(Error::invalid(
-            "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
-             Check the exposure of the images, or lower the setting emitter_ratio",
-        ));
+    let affordable = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
+    let (unseen_rays, alternations) = match settings.mode {
+        Mode::Full => (settings.full.unseen_rays, settings.full.alternations),
+        Mode::Paper => (0, 0),
+    };
+    // The materials under a light, and which of its texels are sources.
+    let mut under = |tbl: &mut Tbl, checkpoints: &Checkpoints| -> Result<(Materials, Mask)> {
+        let (irradiance, lights) =
+            unseen::irradiance(backend, (scene, &atlas), tbl, (gather, unseen_rays), checkpoints, progress)?;
+        timings.mark("irradiance");
+        let light = (&*tbl, &irradiance);
+        let emitters =
+            emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
+        if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
+            return Err(Error::invalid(
+                "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
+                 Check the exposure of the images, or lower the setting emitter_ratio",
+            ));
+        }
+        let ground = Ground {
+            scene,
+            atlas: &atlas,
+            adjacency: &adjacency,
+            radiance: &tbl.radiance,
+            lights: &lights,
+            emitters: &emitters,
+            plan: &plan,
+            seed: settings.seed,
+            checkpoints,
+        };
+        let materials = match settings.mode {
+            Mode::Paper => paper::fit(backend, &ground, irradiance, &affordable, settings, progress, log)?,
+            Mode::Full => full::fit(backend, &ground, irradiance, &affordable, &settings.full, progress)?,
+        };
+        timings.mark("materials");
+        Ok((materials, emitters))
+    };
+    let (mut materials, mut emitters) = under(&mut tbl, checkpoints)?;
+    for round in 1..=alternations {
+        tbl.radiance = diffused::radiance(&atlas, &tbl, &materials, &emitters);
+        (materials, emitters) = under(&mut tbl, &checkpoints.within(&format!("alternation-{round}")))?;
     }
-    let ground = Ground {
-        scene,
-        atlas: &atlas,
-        adjacency: &adjacency,
-        radiance: &tbl.radiance,
-        lights: &lights,
-        emitters: &emitters,
-        plan: &plan,
-        seed: settings.seed,
-        checkpoints,
-    };
-    let training = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
-    let materials = match settings.mode {
-        Mode::Paper => paper::fit(backend, &ground, irradiance, &training, settings, progress, log)?,
-        Mode::Full => full::fit(backend, &ground, irradiance, &training, &settings.full, progress)?,
-    };
     let emission = emitted((&tbl.radiance, &emitters), &materials);
     let Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence } = materials;
     let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
-    timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
 }

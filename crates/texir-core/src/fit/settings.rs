@@ -75,6 +75,9 @@ pub struct FullSettings {
     /// Rays per texel that find, twice, how much light reaches it from surfaces that no view sees; 0: what the HDR texture was
     /// filled with there is taken for what they send.
     pub unseen_rays: u32,
+    /// How often everything is fitted once more under the light of the scene without highlights, as the materials found tell
+    /// them. Each takes as long as the first fit.
+    pub alternations: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
     /// Light samples of each of a block's four points: per lobe of five,
@@ -360,6 +363,7 @@ impl Default for FullSettings {
         Self {
             resolve_sources: true,
             unseen_rays: 16,
+            alternations: 0,
             block_angle: 1.4,
             lobe_samples: 6,
             cosine_samples: 2,
