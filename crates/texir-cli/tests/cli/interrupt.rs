@@ -43,7 +43,7 @@ fn interrupt(settings: &[&str], step: &str) -> (Capture, PathBuf) {
 
 #[test]
 fn an_interrupted_fit_leaves_no_output_and_goes_on_to_the_same_bits() {
-    interrupt(&["--set", "fit.full.lobe_samples=256"], "view-0.safetensors");
+    interrupt(&["--set", "fit.full.lobe_samples=256"], "round-1-view-0.safetensors");
 }
 
 #[test]

@@ -12,7 +12,6 @@ mod lit_square;
 pub mod memory;
 pub mod paper;
 pub mod settings;
-pub mod unseen;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
@@ -23,6 +22,7 @@ use glam::Vec3;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
+use crate::bake;
 use crate::brdf::Masking;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
@@ -38,6 +38,10 @@ use crate::tbl::{self, TblOptions};
 pub use paper::stages::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
+/// The first irradiance of a fit that gathers again takes this part of the rays: what it is for, the light that surfaces send,
+/// is known from the views.
+const FIRST: u32 = 4;
+
 /// What both modes start from: the light of the scene, and where its texels are.
 pub struct Ground<'a> {
     /// The mesh.
@@ -46,10 +50,12 @@ pub struct Ground<'a> {
     pub atlas: &'a Atlas,
     /// Which of them are neighbours.
     pub adjacency: &'a Adjacency,
-    /// The texture-based lighting.
-    pub radiance: &'a Rgb,
+    /// The texture-based lighting, as captured.
+    pub tbl: &'a Tbl,
     /// Its light sources, as sampled.
     pub lights: &'a Lights,
+    /// Rays per texel with which irradiance is gathered.
+    pub gather: Gather,
     /// Texels that are light sources.
     pub emitters: &'a Mask,
     /// Rooms, for views that bring none.
@@ -85,7 +91,7 @@ pub struct FitResult {
     pub textures: Textures,
     /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
     pub confidence: Option<Gray>,
-    /// The texture-based lighting that was used.
+    /// The texture-based lighting: as captured, or as surfaces send it by the materials that full mode found.
     pub tbl: Tbl,
     /// The rooms that were found.
     pub plan: FloorPlan,
@@ -133,53 +139,47 @@ pub fn fit(
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
+    let lights = Lights::find(scene, &atlas, &tbl.radiance);
+    backend.set_tbl(&tbl.radiance, &lights)?;
     let rays = settings.irradiance_rays(atlas.typical_texel(&scene.mesh));
-    let gather = Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
-    let affordable = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
-    let (unseen_rays, alternations) = match settings.mode {
-        Mode::Full => (settings.full.unseen_rays, settings.full.alternations),
-        Mode::Paper => (0, 0),
+    let gather = |rays: u32| Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
+    let (gather, first) = (gather(rays), gather(if settings.relights() { rays.div_ceil(FIRST) } else { rays }));
+    let irradiance =
+        bake::denoised(backend, &scene.mesh, &atlas, first, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
+    timings.mark("irradiance");
+
+    let light = (&tbl, &irradiance);
+    let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
+    if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
+        return Err(Error::invalid(
+            "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
+             Check the exposure of the images, or lower the setting emitter_ratio",
+        ));
+    }
+    let ground = Ground {
+        scene,
+        atlas: &atlas,
+        adjacency: &adjacency,
+        tbl: &tbl,
+        lights: &lights,
+        gather,
+        emitters: &emitters,
+        plan: &plan,
+        seed: settings.seed,
+        checkpoints,
     };
-    // The materials under a light, and which of its texels are sources.
-    let mut under = |tbl: &mut Tbl, checkpoints: &Checkpoints| -> Result<(Materials, Mask)> {
-        let (irradiance, lights) =
-            unseen::irradiance(backend, (scene, &atlas), tbl, (gather, unseen_rays), checkpoints, progress)?;
-        timings.mark("irradiance");
-        let light = (&*tbl, &irradiance);
-        let emitters =
-            emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
-        if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
-            return Err(Error::invalid(
-                "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
-                 Check the exposure of the images, or lower the setting emitter_ratio",
-            ));
-        }
-        let ground = Ground {
-            scene,
-            atlas: &atlas,
-            adjacency: &adjacency,
-            radiance: &tbl.radiance,
-            lights: &lights,
-            emitters: &emitters,
-            plan: &plan,
-            seed: settings.seed,
-            checkpoints,
-        };
-        let materials = match settings.mode {
-            Mode::Paper => paper::fit(backend, &ground, irradiance, &affordable, settings, progress, log)?,
-            Mode::Full => full::fit(backend, &ground, irradiance, &affordable, &settings.full, progress)?,
-        };
-        timings.mark("materials");
-        Ok((materials, emitters))
+    let training = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
+    let (materials, relit) = match settings.mode {
+        Mode::Paper => (paper::fit(backend, &ground, irradiance, &training, settings, progress, log)?, None),
+        Mode::Full => full::fit(backend, &ground, irradiance, &training, &settings.full, progress)?,
     };
-    let (mut materials, mut emitters) = under(&mut tbl, checkpoints)?;
-    for round in 1..=alternations {
-        tbl.radiance = diffused::radiance(&atlas, &tbl, &materials, &emitters);
-        (materials, emitters) = under(&mut tbl, &checkpoints.within(&format!("alternation-{round}")))?;
+    if let Some(radiance) = relit {
+        tbl.radiance = radiance;
     }
     let emission = emitted((&tbl.radiance, &emitters), &materials);
     let Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence } = materials;
     let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
+    timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
 }

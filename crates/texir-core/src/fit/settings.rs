@@ -20,7 +20,7 @@ const MAX_ATLAS: usize = 16_384;
 pub enum Mode {
     /// The paper's three stages of gradient descent.
     Paper,
-    /// Robust least squares and a scan over roughness, on light samples drawn once.
+    /// Robust least squares and a scan over roughness, on light samples drawn beforehand.
     #[default]
     Full,
 }
@@ -72,11 +72,8 @@ pub struct FullSettings {
     /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one built
     /// from the views are.
     pub resolve_sources: bool,
-    /// Rays per texel that find, twice, how much light reaches it from surfaces that no view sees; 0: what the HDR texture was
-    /// filled with there is taken for what they send.
-    pub unseen_rays: u32,
-    /// How often everything is fitted once more under the light of the scene without highlights, as the materials found tell
-    /// them. Each takes as long as the first fit.
+    /// How often irradiance is gathered anew, and everything fitted to it, under the light that surfaces send by the materials
+    /// found so far: without highlights, and where no view sees as well. 0: the HDR texture is taken as it is.
     pub alternations: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
@@ -132,6 +129,19 @@ pub enum DiffuseChoice {
     /// This one.
     #[serde(untagged)]
     Is(DiffuseModel),
+}
+
+impl FullSettings {
+    /// For a round that only has to tell what light surfaces send: a third of the light samples, one diffuse model, no joints.
+    pub fn coarse(&self) -> Self {
+        let mut coarse = self.clone();
+        for samples in [&mut coarse.lobe_samples, &mut coarse.cosine_samples, &mut coarse.light_samples] {
+            *samples = samples.div_ceil(3);
+        }
+        coarse.diffuse = DiffuseChoice::Is(self.diffuse.candidates()[0]);
+        coarse.roughness.joints.width = 0.0;
+        coarse
+    }
 }
 
 impl DiffuseChoice {
@@ -362,8 +372,7 @@ impl Default for FullSettings {
     fn default() -> Self {
         Self {
             resolve_sources: true,
-            unseen_rays: 16,
-            alternations: 0,
+            alternations: 1,
             block_angle: 1.4,
             lobe_samples: 6,
             cosine_samples: 2,
@@ -516,6 +525,11 @@ impl FullSettings {
 }
 
 impl FitSettings {
+    /// Whether irradiance is gathered again once materials are known.
+    pub fn relights(&self) -> bool {
+        self.mode == Mode::Full && self.full.alternations > 0
+    }
+
     /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces, not
     /// over texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128 or 64 for
     /// finer ones.

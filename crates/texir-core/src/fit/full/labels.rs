@@ -174,15 +174,14 @@ impl Votes {
         };
         for _ in 0..rounds(BLUR, atlas.typical_texel(mesh)) {
             let mean = |t: u32| {
-                let own = std::iter::once(t);
-                let sharing: Vec<u32> = own.chain(adjacency.around(t).filter(|&n| facing(t, n))).collect();
-                let mut sum = Ballot::default();
-                for &(label, weight) in sharing.iter().flat_map(|&n| &votes[n as usize].0) {
-                    if label != 0 {
-                        sum.add(label, weight / sharing.len() as f32);
+                let (mut sum, mut sharing) = (Ballot::default(), 0.0);
+                for n in std::iter::once(t).chain(adjacency.around(t).filter(|&n| facing(t, n))) {
+                    sharing += 1.0;
+                    for &(label, weight) in votes[n as usize].0.iter().filter(|(label, _)| *label != 0) {
+                        sum.add(label, weight);
                     }
                 }
-                sum
+                Ballot(sum.0.map(|(label, weight)| (label, weight / sharing)))
             };
             votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
         }

@@ -1,6 +1,7 @@
-//! The fit in full mode: light samples drawn once, albedo by robust least squares, roughness by a scan per segment.
+//! The fit in full mode: light samples drawn beforehand, albedo by robust least squares, roughness by a scan per segment.
 //!
 //! labels → observations → segments → scan (→ metals) → hierarchy → joints → albedo. No ray is traced after the observations.
+//! A first, coarse round tells what light surfaces send, of which irradiance and observations are made again.
 
 pub mod albedo;
 pub mod automatic;
@@ -24,15 +25,16 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::adjacency::NONE;
-use super::{Ground, Materials};
+use super::{Ground, Materials, diffused};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
-use crate::bake;
+use crate::bake::{self, Buried};
 use crate::capture::View;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::fit::settings::{AlbedoSettings, FullSettings};
-use crate::progress::Progress;
+use crate::lights::Lights;
+use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
@@ -41,7 +43,8 @@ use observations::{Observations, Observer};
 use palette::Palettes;
 use segments::Segments;
 
-/// Fits the materials. The backend holds the full TBL and its lights; `map` is the irradiance E.
+/// Fits the materials, and tells what radiance surfaces send by them if irradiance was gathered again from that
+/// ([`FullSettings::alternations`]). The backend holds the full TBL and its lights; `map` is the irradiance E.
 pub fn fit(
     backend: &mut dyn Backend,
     ground: &Ground<'_>,
@@ -49,14 +52,39 @@ pub fn fit(
     training: &[View],
     settings: &FullSettings,
     progress: &dyn Progress,
-) -> Result<Materials> {
-    let Ground { scene, atlas, adjacency, emitters, seed, checkpoints, .. } = *ground;
-    let irradiance = of_texels(&map, atlas);
+) -> Result<(Materials, Option<Rgb>)> {
+    let Ground { scene, atlas, adjacency, emitters, gather, seed, .. } = *ground;
+    let mut irradiance = of_texels(&map, atlas);
     drop(map);
     let labels = Labels::vote(backend, &scene.mesh, (atlas, adjacency), training, progress)?;
-    let observer = Observer { scene, atlas, emitters, settings, seed, checkpoints };
-    let seen = observer.observe(backend, training, progress)?;
-    recover(ground, &irradiance, labels, &seen, settings, progress)
+    if !labels.has_classes() {
+        progress.warn(
+            "no view has semantic classes: segments are made from geometry and colour alone, and surfaces that look alike \
+             share their roughness; semantic images tell them apart better",
+        );
+    }
+    let coarse = settings.coarse();
+    let again = Named { progress, of: "again" };
+    let mut round = 0;
+    loop {
+        let is_last = round == settings.alternations;
+        let progress = if round == 0 { progress } else { &again };
+        let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
+        let settings = if is_last { settings } else { &coarse };
+        let seen =
+            Observer { scene, atlas, emitters, settings, seed, checkpoints }.observe(backend, training, progress)?;
+        let materials = recover(ground, &irradiance, &labels, &seen, settings, progress)?;
+        let sent = diffused::radiance(atlas, ground.tbl, &materials, emitters, &seen.is_seen);
+        drop(seen);
+        if is_last {
+            return Ok((materials, (round > 0).then_some(sent)));
+        }
+        round += 1;
+        let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
+        backend.set_tbl(&sent, &Lights::find(scene, atlas, &sent))?;
+        let baked = bake::denoised(backend, &scene.mesh, atlas, gather, checkpoints, &again)?;
+        irradiance = of_texels(&baked.map(atlas, Buried::Fill), atlas);
+    }
 }
 
 /// What a map holds at every valid texel.
@@ -71,7 +99,7 @@ const DARK: f32 = 1e-6;
 fn recover(
     ground: &Ground<'_>,
     irradiance: &[Vec3A],
-    labels: Labels,
+    labels: &Labels,
     seen: &Observations,
     settings: &FullSettings,
     progress: &dyn Progress,
@@ -79,16 +107,8 @@ fn recover(
     let Ground { scene, atlas, adjacency, .. } = *ground;
     let texel = atlas.typical_texel(&scene.mesh);
     let diffuse_albedo = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
-    let apparent = || of_texels(ground.radiance, atlas).into_iter().zip(irradiance).map(diffuse_albedo).collect();
-    let segments = segments::segment((atlas, texel), adjacency, &labels, &seen.is_seen, apparent, ground.plan);
-    if !labels.has_classes() {
-        progress.warn(&format!(
-            "no view has semantic classes: {} segments are made from geometry and colour alone, and surfaces that look alike \
-             share their roughness; semantic images tell them apart better",
-            segments.count()
-        ));
-    }
-    drop(labels);
+    let apparent = || of_texels(&ground.tbl.radiance, atlas).into_iter().zip(irradiance).map(diffuse_albedo).collect();
+    let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, apparent, ground.plan);
     let segment = (&segments.segment[..], segments.count());
     let mut problem =
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);

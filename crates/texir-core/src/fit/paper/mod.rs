@@ -47,11 +47,11 @@ pub fn fit(
         pyramid: &pyramid,
         footprint_samples: settings.footprint_samples,
     };
-    let sources = Raster { data: emission(ground.radiance, ground.emitters).collect(), ..*ground.radiance };
+    let sources = Raster { data: emission(&ground.tbl.radiance, ground.emitters).collect(), ..ground.tbl.radiance };
     backend.set_tbl(&sources, &Lights::none(&scene.mesh))?;
     drop(sources);
     let views = surroundings.prepare(backend, training, progress)?;
-    backend.set_tbl(ground.radiance, ground.lights)?;
+    backend.set_tbl(&ground.tbl.radiance, ground.lights)?;
     let texels = atlas.width * atlas.height;
     let mut textures = Textures {
         albedo: vec![settings.parameters.albedo_start; 3 * texels],
