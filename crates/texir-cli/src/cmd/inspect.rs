@@ -358,12 +358,14 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
             let epochs = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
             pixels * u64::from(settings.specular_samples) * epochs
         }
-        Mode::Full => blocks * u64::from(settings.full.sampling(0, 0).rays()),
+        Mode::Full => {
+            blocks * settings.full.rounds().iter().map(|round| u64::from(round.sampling(0, 0).rays())).sum::<u64>()
+        }
     };
     let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, &capture.mesh);
     Estimate {
         bake_rays: (texels as f64 * atlas.covered) as u64
-            * u64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32)),
+            * settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32).into_iter().map(u64::from).sum::<u64>(),
         fit_rays,
         memory: needed.min(settings.max_memory).0,
     }

@@ -38,10 +38,6 @@ use crate::tbl::{self, TblOptions};
 pub use paper::stages::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
-/// The first irradiance of a fit that gathers again takes this part of the rays: what it is for, the light that surfaces send,
-/// is known from the views.
-const FIRST: u32 = 4;
-
 /// What both modes start from: the light of the scene, and where its texels are.
 pub struct Ground<'a> {
     /// The mesh.
@@ -54,8 +50,8 @@ pub struct Ground<'a> {
     pub tbl: &'a Tbl,
     /// Its light sources, as sampled.
     pub lights: &'a Lights,
-    /// Rays per texel with which irradiance is gathered.
-    pub gather: Gather,
+    /// How irradiance is gathered in each round.
+    pub gathers: &'a [Gather],
     /// Texels that are light sources.
     pub emitters: &'a Mask,
     /// Rooms, for views that bring none.
@@ -141,11 +137,10 @@ pub fn fit(
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     let lights = Lights::find(scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
-    let rays = settings.irradiance_rays(atlas.typical_texel(&scene.mesh));
-    let gather = |rays: u32| Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
-    let (gather, first) = (gather(rays), gather(if settings.relights() { rays.div_ceil(FIRST) } else { rays }));
-    let irradiance =
-        bake::denoised(backend, &scene.mesh, &atlas, first, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
+    let gather = |rays: &u32| Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
+    let gathers: Vec<Gather> = settings.irradiance_rays(atlas.typical_texel(&scene.mesh)).iter().map(gather).collect();
+    let irradiance = bake::denoised(backend, &scene.mesh, &atlas, gathers[0], checkpoints, progress)?
+        .map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
@@ -162,7 +157,7 @@ pub fn fit(
         adjacency: &adjacency,
         tbl: &tbl,
         lights: &lights,
-        gather,
+        gathers: &gathers,
         emitters: &emitters,
         plan: &plan,
         seed: settings.seed,

@@ -13,6 +13,8 @@ use crate::specular_table::TableSampling;
 
 /// Largest side of the atlas, texels: beyond it, no graphics card holds the texture.
 const MAX_ATLAS: usize = 16_384;
+/// Rays per texel at the least: two halves, whose difference tells the noise, of two kinds.
+const LEAST_RAYS: u32 = 4;
 
 /// How materials are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -132,8 +134,15 @@ pub enum DiffuseChoice {
 }
 
 impl FullSettings {
+    /// The settings of each round.
+    pub fn rounds(&self) -> Vec<Self> {
+        let mut rounds = vec![self.coarse(); self.alternations as usize];
+        rounds.push(self.clone());
+        rounds
+    }
+
     /// For a round that only has to tell what light surfaces send: a third of the light samples, one diffuse model, no joints.
-    pub fn coarse(&self) -> Self {
+    fn coarse(&self) -> Self {
         let mut coarse = self.clone();
         for samples in [&mut coarse.lobe_samples, &mut coarse.cosine_samples, &mut coarse.light_samples] {
             *samples = samples.div_ceil(3);
@@ -475,7 +484,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 37] {
+    fn checks(&self) -> [Check; 38] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -483,6 +492,7 @@ impl FullSettings {
         let share = |name, value: f32| (name, value, (0.0..=1.0).contains(&value), "in [0, 1]");
         let roughness = |name, value: f32| (name, value, (0.03..=1.0).contains(&value), "in [0.03, 1]");
         [
+            ("full.alternations", self.alternations as f32, self.alternations <= 16, "at most 16"),
             ("full.block_angle", self.block_angle, (0.0..=10.0).contains(&self.block_angle), "in [0, 10]"),
             counts("full.lobe_samples", self.lobe_samples),
             ("full.cosine_samples", self.cosine_samples as f32, self.cosine_samples <= 1024, "at most 1024"),
@@ -525,19 +535,17 @@ impl FullSettings {
 }
 
 impl FitSettings {
-    /// Whether irradiance is gathered again once materials are known.
-    pub fn relights(&self) -> bool {
-        self.mode == Mode::Full && self.full.alternations > 0
-    }
-
-    /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces, not
-    /// over texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128 or 64 for
-    /// finer ones.
-    pub fn irradiance_rays(&self, texel: f32) -> u32 {
-        match self.irradiance_samples {
+    /// Rays per texel of the irradiance bake of each round, for texels of the given edge in metres. Irradiance varies over
+    /// surfaces, not over texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128
+    /// or 64 for finer ones. The first of several rounds takes a quarter: what light surfaces send is known from the views.
+    pub fn irradiance_rays(&self, texel: f32) -> Vec<u32> {
+        let rays = match self.irradiance_samples {
             0 => 256 >> (2.0 * (0.025 / texel).log2()).round().clamp(0.0, 2.0) as u32,
             samples => samples,
-        }
+        };
+        let rounds = if self.mode == Mode::Full { self.full.rounds().len() } else { 1 };
+        let of_round = |round: usize| if round == 0 && rounds > 1 { (rays / 4).max(LEAST_RAYS) } else { rays };
+        (0..rounds).map(of_round).collect()
     }
 
     /// Checks every value; the error names the setting, its value and what is allowed.
@@ -551,7 +559,7 @@ impl FitSettings {
             (
                 "irradiance_samples",
                 self.irradiance_samples as f32,
-                !(1..4).contains(&self.irradiance_samples),
+                !(1..LEAST_RAYS).contains(&self.irradiance_samples),
                 "0, or at least 4",
             ),
             ("specular_samples", self.specular_samples as f32, self.specular_samples > 0, "at least 1"),

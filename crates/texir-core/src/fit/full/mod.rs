@@ -53,7 +53,7 @@ pub fn fit(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<(Materials, Option<Rgb>)> {
-    let Ground { scene, atlas, adjacency, emitters, gather, seed, .. } = *ground;
+    let Ground { scene, atlas, adjacency, emitters, seed, .. } = *ground;
     let mut irradiance = of_texels(&map, atlas);
     drop(map);
     let labels = Labels::vote(backend, &scene.mesh, (atlas, adjacency), training, progress)?;
@@ -63,26 +63,24 @@ pub fn fit(
              share their roughness; semantic images tell them apart better",
         );
     }
-    let coarse = settings.coarse();
     let again = Named { progress, of: "again" };
+    let rounds = settings.rounds();
     let mut round = 0;
     loop {
-        let is_last = round == settings.alternations;
-        let progress = if round == 0 { progress } else { &again };
+        let (settings, progress) = (&rounds[round], if round == 0 { progress } else { &again });
         let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
-        let settings = if is_last { settings } else { &coarse };
-        let seen =
-            Observer { scene, atlas, emitters, settings, seed, checkpoints }.observe(backend, training, progress)?;
+        let observer = Observer { scene, atlas, emitters, settings, seed, checkpoints };
+        let seen = observer.observe(backend, training, progress)?;
         let materials = recover(ground, &irradiance, &labels, &seen, settings, progress)?;
         let sent = diffused::radiance(atlas, ground.tbl, &materials, emitters, &seen.is_seen);
         drop(seen);
-        if is_last {
-            return Ok((materials, (round > 0).then_some(sent)));
-        }
         round += 1;
+        let Some(gather) = ground.gathers.get(round) else {
+            return Ok((materials, (round > 1).then_some(sent)));
+        };
         let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
         backend.set_tbl(&sent, &Lights::find(scene, atlas, &sent))?;
-        let baked = bake::denoised(backend, &scene.mesh, atlas, gather, checkpoints, &again)?;
+        let baked = bake::denoised(backend, &scene.mesh, atlas, *gather, checkpoints, &again)?;
         irradiance = of_texels(&baked.map(atlas, Buried::Fill), atlas);
     }
 }
