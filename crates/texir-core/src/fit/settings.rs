@@ -635,3 +635,27 @@ impl FitSettings {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_before_the_last_are_coarse_and_the_first_irradiance_takes_few_rays() {
+        let rays = |mode: Mode, alternations: u32, irradiance_samples: u32| {
+            let full = FullSettings { alternations, ..FullSettings::default() };
+            FitSettings { mode, irradiance_samples, full, ..FitSettings::default() }.irradiance_rays(0.03)
+        };
+        assert_eq!(rays(Mode::Full, 1, 0), [64, 256]);
+        assert_eq!(rays(Mode::Full, 2, 0), [64, 256, 256]);
+        assert_eq!(rays(Mode::Full, 1, 4), [4, 4]);
+        assert_eq!(rays(Mode::Full, 0, 0), [256]);
+        assert_eq!(rays(Mode::Paper, 1, 0), [256]);
+
+        let settings = FullSettings::default();
+        let rounds = settings.rounds();
+        assert_eq!(rounds.len(), 2);
+        assert!(rounds[1] == settings && rounds[0].sampling(0, 0).rays() < settings.sampling(0, 0).rays() / 2);
+        assert_eq!(rounds[0].diffuse.candidates().len(), 1);
+    }
+}
