@@ -8,7 +8,7 @@ use serde_json::json;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Model, Solved, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
-use texir_core::bake::Quality;
+use texir_core::bake::{Denoiser, Quality};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::cosine_direction;
@@ -26,8 +26,11 @@ use texir_tests::compare::Tolerance;
 use texir_tests::gltf::Document;
 use texir_tests::{gpu, scenes};
 
-const QUALITY: Quality =
-    Quality { gather: Gather { cosine: 32, light: 32, seed: 3, part: 0 }, error: None, denoise: true };
+const QUALITY: Quality = Quality {
+    gather: Gather { cosine: 32, light: 32, seed: 3, part: 0 },
+    error: None,
+    denoise: Some(Denoiser::Regression),
+};
 const BOUNCES: Bounces = Bounces { quality: QUALITY, tolerance: 1e-3, most: 64 };
 
 fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Solved {
@@ -219,7 +222,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
     let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
     let gather = Gather { cosine: 48, light: 48, seed: 1, part: 0 };
-    let bounces = Bounces { quality: Quality { gather, denoise: false, ..QUALITY }, ..BOUNCES };
+    let bounces = Bounces { quality: Quality { gather, denoise: None, ..QUALITY }, ..BOUNCES };
     let solved = solve(&mut backend, &scene, &atlas, &surfaces, &bounces);
     let denoised =
         solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { quality: Quality { gather, ..QUALITY }, ..BOUNCES });

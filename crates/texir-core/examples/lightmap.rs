@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Surfaces, irradiance};
 use texir_core::backend::Gather;
-use texir_core::bake::{Buried, Quality};
+use texir_core::bake::{Buried, Denoiser, Quality};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::environment::Environment;
@@ -39,7 +39,11 @@ fn main() -> texir_core::error::Result<()> {
         environment: Some(Environment::constant([5.0, 7.0, 10.0])?),
     };
     let gather = Gather { cosine: 128, light: 128, seed: 0, part: 0 };
-    let bounces = Bounces { quality: Quality { gather, error: None, denoise: true }, tolerance: 0.005, most: 64 };
+    let bounces = Bounces {
+        quality: Quality { gather, error: None, denoise: Some(Denoiser::Regression) },
+        tolerance: 0.005,
+        most: 64,
+    };
     let solved = irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
     println!("mean irradiance by bounce, lux: {:.1?}", solved.series);
     write_rgb("lightmap.exr", &solved.baked.map(&atlas, Buried::Fill))

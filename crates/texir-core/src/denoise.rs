@@ -7,6 +7,9 @@
 //! Bitterli et al., "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings", EGSR 2016). And what
 //! both halves have beyond their fits is no noise: it stays, which keeps shadows too thin for the fit to see.
 
+#[cfg(feature = "oidn")]
+pub mod oidn;
+
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 

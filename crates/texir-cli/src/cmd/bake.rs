@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use texir_core::atlas::Atlas;
 use texir_core::backend::Gather;
-use texir_core::bake::{self, Buried, Quality, Solution, Texels, Workspace};
+use texir_core::bake::{self, Buried, Denoiser, Quality, Solution, Texels, Workspace};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::image_io::{Rows, write_gray};
@@ -53,6 +53,10 @@ pub struct Bake {
     /// Leave the noise in: unbiased, for measuring and for many rays
     #[arg(long)]
     no_denoise: bool,
+    /// Denoise with Intel's Open Image Denoise, which sees the map as a picture, instead of with neighbours on the surface
+    #[cfg(feature = "oidn")]
+    #[arg(long, conflicts_with_all = ["no_denoise", "max_memory"])]
+    oidn: bool,
     /// Give texels inside other geometry (a floor under a cupboard) their nearest lit neighbour's value, so that they do
     /// not darken what is seen beside them
     #[arg(long)]
@@ -153,7 +157,16 @@ impl Bake {
                 .help("give --spp at least 4, or leave --error and --stderr out"));
         }
         let error = self.error.or(self.stderr.then_some(0.0));
-        Ok(Quality { gather, error, denoise: !self.no_denoise && halves })
+        Ok(Quality { gather, error, denoise: self.denoiser(halves) })
+    }
+
+    /// What removes the noise; regression takes two halves of the rays.
+    fn denoiser(&self, halves: bool) -> Option<Denoiser> {
+        #[cfg(feature = "oidn")]
+        if self.oidn {
+            return Some(Denoiser::OpenImageDenoise);
+        }
+        (!self.no_denoise && halves).then_some(Denoiser::Regression)
     }
 
     /// Writes the map, and what `--stderr` asks for, some rows at a time.

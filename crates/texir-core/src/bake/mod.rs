@@ -70,8 +70,19 @@ pub struct Quality {
     pub gather: Gather,
     /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes all.
     pub error: Option<f32>,
-    /// Removes most of the noise: see [`denoise`](crate::denoise::denoise).
-    pub denoise: bool,
+    /// What removes most of the noise, if anything.
+    pub denoise: Option<Denoiser>,
+}
+
+/// What removes the noise of a bake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Denoiser {
+    /// Regression over neighbours on the surface, guided by two halves of the rays: [`denoise`](crate::denoise::denoise).
+    Regression,
+    /// Intel's Open Image Denoise, guided by normals, for comparison: it sees the map as a picture, so that charts of the
+    /// atlas that lie beside each other have a say in each other. It needs all of the map in memory.
+    #[cfg(feature = "oidn")]
+    OpenImageDenoise,
 }
 
 impl Hash for Quality {
@@ -113,7 +124,8 @@ pub fn denoised(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    bake(backend, mesh, atlas, &Quality { gather, error: None, denoise: true }, checkpoints, progress)
+    let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
+    bake(backend, mesh, atlas, &quality, checkpoints, progress)
 }
 
 /// What a bake depends on: as long as none of it changes, its [`Checkpoints`] hold.

@@ -3,17 +3,21 @@
 use std::ops::Range;
 
 use super::estimate::{self, Estimate};
+#[cfg(feature = "oidn")]
+use super::store::Items;
 use super::store::Store;
 use super::surface::Surface;
 use super::texels::{PIECE, Texels};
 use super::tiles::{Tiles, rays_of};
-use super::{Baked, Buried, PADDING, Quality};
+use super::{Baked, Buried, Denoiser, PADDING, Quality};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::denoise::{self, denoise_some};
 use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
+#[cfg(feature = "oidn")]
+use crate::raster::Raster;
 
 /// A texel lies inside an object when this share of its rays meets the backs of triangles.
 const BURIED: f32 = 0.5;
@@ -72,6 +76,28 @@ impl Solution {
         })
     }
 
+    /// Removes most of the noise by a library that sees the whole map at once. Texels inside other geometry are as their
+    /// neighbours to it, and keep what they gathered.
+    #[cfg(feature = "oidn")]
+    fn denoised_as_a_picture(mut self, texels: &Texels<'_>, progress: &dyn Progress) -> Result<Self> {
+        progress.start("denoising", texels.valid() as u64, "texels");
+        let [width, height] = texels.size();
+        let picture = |values: &Store<'_, [f32; 3]>, known: Option<&Store<'_, u8>>| {
+            Raster::new(width, height, texels.rows(values, known, 0..height, PADDING)?)
+        };
+        let all = Items::Range(0..texels.valid());
+        let points = texels.points.get(&all)?;
+        let normals = Store::Memory(points.iter().map(|point| point.normal).collect());
+        let clean = denoise::oidn::denoise(&picture(&self.irradiance, Some(&self.seen))?, &picture(&normals, None)?)?;
+        let (gathered, seen) = (self.irradiance.get(&all)?, self.seen.get(&all)?);
+        let values: Vec<[f32; 3]> = (points.iter().zip(gathered.iter().zip(seen.iter())))
+            .map(|(point, (gathered, seen))| if *seen == 0 { *gathered } else { clean.data[point.sequence as usize] })
+            .collect();
+        self.irradiance.set(&all, &values)?;
+        progress.finish();
+        Ok(self)
+    }
+
     pub(super) fn into_baked(self) -> Result<Baked> {
         Ok(Baked {
             irradiance: self.irradiance.into_vec()?,
@@ -91,11 +117,18 @@ pub fn solve(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solution> {
-    if quality.error.is_none() && !quality.denoise {
-        return as_gathered(backend, texels, quality.gather, checkpoints, progress);
+    let looks_around = quality.error.is_some() || quality.denoise == Some(Denoiser::Regression);
+    let solution = if looks_around {
+        let surface = Surface::new(texels, mesh, denoise::REACH.max(estimate::RADIUS))?;
+        solve_on(backend, &surface, quality, checkpoints, progress)
+    } else {
+        as_gathered(backend, texels, quality.gather, checkpoints, progress)
+    };
+    #[cfg(feature = "oidn")]
+    if quality.denoise == Some(Denoiser::OpenImageDenoise) {
+        return solution?.denoised_as_a_picture(texels, progress);
     }
-    let surface = Surface::new(texels, mesh, denoise::REACH.max(estimate::RADIUS))?;
-    solve_on(backend, &surface, quality, checkpoints, progress)
+    solution
 }
 
 /// [`solve`] with denoising or with errors, which look at neighbours.
@@ -110,7 +143,7 @@ pub(super) fn solve_on(
     let (irradiance, seen) = estimate.means(surface.texels)?;
     let standard_error = quality.error.map(|_| estimate.standard_errors(surface, progress)).transpose()?;
     let mut solution = Solution { irradiance, seen, standard_error, rays: estimate.rays()? };
-    if quality.denoise {
+    if quality.denoise == Some(Denoiser::Regression) {
         solution.denoise(surface, &estimate, checkpoints, progress)?;
     }
     Ok(solution)

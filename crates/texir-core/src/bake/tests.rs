@@ -164,7 +164,8 @@ fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
-    let quality = Quality { gather: Gather { cosine: 256, ..GATHER }, error: Some(0.05), denoise: true };
+    let quality =
+        Quality { gather: Gather { cosine: 256, ..GATHER }, error: Some(0.05), denoise: Some(Denoiser::Regression) };
     let mut run =
         |kept: &Checkpoints, progress: &dyn Progress| bake(&mut backend, &scene.mesh, &atlas, &quality, kept, progress);
     let whole = run(&Checkpoints::none(), &Silent).unwrap();
@@ -229,7 +230,9 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let (memory, disk) = (texels(Workspace::Memory), texels(on_disk(folder.path())));
     assert_eq!(disk.valid(), atlas.texels.len());
     assert_eq!(disk.typical(&scene.mesh).unwrap(), atlas.typical_texel(&scene.mesh));
-    for (error, denoise) in [(None, false), (None, true), (Some(0.0), false), (Some(0.0), true), (Some(0.2), true)] {
+    let regression = Some(Denoiser::Regression);
+    let ways = [(None, None), (None, regression), (Some(0.0), None), (Some(0.0), regression), (Some(0.2), regression)];
+    for (error, denoise) in ways {
         let quality = Quality { gather, error, denoise };
         let mut solve = |texels: &Texels<'_>| {
             super::solve(&mut backend, &scene.mesh, texels, &quality, &Checkpoints::none(), &Silent).unwrap()
@@ -248,7 +251,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
         }
     }
     // Negative control: where blocks have not enough around them, their borders differ.
-    let quality = Quality { gather, error: None, denoise: true };
+    let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
     let mut solve = |texels: &Texels<'_>, reach| {
         let surface = Surface::new(texels, &scene.mesh, reach).unwrap();
         let solved = solution::solve_on(&mut backend, &surface, &quality, &Checkpoints::none(), &Silent).unwrap();
@@ -264,7 +267,8 @@ fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
     let mut backend = lit(&scene, &radiance);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
-    let quality = Quality { gather: Gather { cosine: 128, ..GATHER }, error: Some(0.2), denoise: true };
+    let quality =
+        Quality { gather: Gather { cosine: 128, ..GATHER }, error: Some(0.2), denoise: Some(Denoiser::Regression) };
     let open = || Checkpoints::open(&path, &identity(&scene.mesh, &radiance, quality), &Silent).unwrap();
     let mut run = |workspace: Workspace, kept: &Checkpoints, progress: &dyn Progress| -> Result<_> {
         let texels = Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent)?;

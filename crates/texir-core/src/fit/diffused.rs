@@ -42,7 +42,7 @@ mod tests {
     use super::*;
     use crate::authored::{self, Bounces, Surfaces};
     use crate::backend::{Backend, Gather};
-    use crate::bake::{self, Buried, Quality};
+    use crate::bake::{self, Buried, Denoiser, Quality};
     use crate::brdf::Masking;
     use crate::checkpoint::Checkpoints;
     use crate::cpu::CpuBackend;
@@ -95,7 +95,11 @@ mod tests {
             environment: None,
         };
         let gather = Gather { cosine: 64, light: 64, seed: 3, part: 0 };
-        let bounces = Bounces { quality: Quality { gather, error: None, denoise: true }, tolerance: 1e-3, most: 30 };
+        let bounces = Bounces {
+            quality: Quality { gather, error: None, denoise: Some(Denoiser::Regression) },
+            tolerance: 1e-3,
+            most: 30,
+        };
         let none = Checkpoints::none();
         let truth = authored::irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &none, &Silent).unwrap();
         let truth: Vec<f32> = truth.baked.irradiance.iter().map(|e| e[0]).collect();
