@@ -117,18 +117,16 @@ pub fn solve(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solution> {
-    let looks_around = quality.error.is_some() || quality.denoise == Some(Denoiser::Regression);
-    let solution = if looks_around {
-        let surface = Surface::new(texels, mesh, denoise::REACH.max(estimate::RADIUS))?;
-        solve_on(backend, &surface, quality, checkpoints, progress)
-    } else {
-        as_gathered(backend, texels, quality.gather, checkpoints, progress)
-    };
     #[cfg(feature = "oidn")]
     if quality.denoise == Some(Denoiser::OpenImageDenoise) {
-        return solution?.denoised_as_a_picture(texels, progress);
+        let noisy = Quality { denoise: None, ..*quality };
+        return solve(backend, mesh, texels, &noisy, checkpoints, progress)?.denoised_as_a_picture(texels, progress);
     }
-    solution
+    if quality.error.is_none() && quality.denoise.is_none() {
+        return as_gathered(backend, texels, quality.gather, checkpoints, progress);
+    }
+    let surface = Surface::new(texels, mesh, denoise::REACH.max(estimate::RADIUS))?;
+    solve_on(backend, &surface, quality, checkpoints, progress)
 }
 
 /// [`solve`] with denoising or with errors, which look at neighbours.
