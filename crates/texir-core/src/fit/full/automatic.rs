@@ -1,27 +1,21 @@
 //! Classes for captures without semantics: regions of one colour on flat surfaces, those of like colour that face alike
 //! being one class.
 //!
-//! Where semantics tell what things are, geometry and colour tell where one thing ends. Colour is that of the HDR texture
-//! under its irradiance.
+//! Where semantics tell what things are, geometry and colour tell where one thing ends.
 
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::labels;
+use super::colours::Colours;
 use super::palette::Palettes;
 use super::segments::connected;
 use crate::atlas::Atlas;
 use crate::fit::adjacency::Adjacency;
 use crate::fit::settings::PaletteSettings;
 
-/// Colours of a flat surface: a rug on a floor, but neither its pattern nor the shine of a window on it.
-const ON_A_SURFACE: PaletteSettings =
-    PaletteSettings { bandwidth: 0.25, colours: 8, least_share: 0.03, strength: 0.0, reach: 1.0 };
 /// Colours of all regions, by which they are classes.
 const IN_THE_SCENE: PaletteSettings =
     PaletteSettings { bandwidth: 0.08, colours: 20, least_share: 0.002, strength: 0.0, reach: 1.0 };
-/// Colours are blurred by this standard deviation before, metres.
-const BLUR: f32 = 0.05;
 /// Regions that are smaller, square metres, and not the largest of their surface, are part of what surrounds them.
 const SMALLEST: f32 = 0.1;
 /// A region faces where its mean normal points, if that is at least so long.
@@ -52,27 +46,23 @@ impl Region {
     }
 }
 
-/// The class of every texel that is `seen`, apart from those of small regions. `surface` tells flat surfaces apart, `albedo`
-/// may be as rough as π · radiance / irradiance; `texel` is the edge of a typical texel, metres.
+/// The class of every texel that is `seen`, apart from those of small regions. `surface` tells flat surfaces apart, `colours` what
+/// they are painted in; `texel` is the edge of a typical texel, metres.
 pub fn classes(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
     surface: &[u32],
-    albedo: &[Vec3A],
+    Colours { albedo, colour }: &Colours,
     seen: impl Fn(usize) -> bool + Sync,
 ) -> Vec<Option<u16>> {
     let together = |a: u32, b: u32| {
         let (a, b) = (a as usize, b as usize);
-        surface[a] == surface[b] && seen(a) && seen(b)
+        surface[a] == surface[b] && seen(a) && seen(b) && colour[a] == colour[b]
     };
-    let albedo = blurred(adjacency, together, albedo, texel);
-    let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);
-    let palettes = Palettes::find(&albedo, surface, surfaces, &seen, &ON_A_SURFACE);
-    let colour: Vec<usize> = (surface, &albedo).into_par_iter().map(|(s, a)| palettes.nearest(*s, *a)).collect();
-    let (of, count) =
-        connected(albedo.len(), adjacency, |a, b| together(a, b) && colour[a as usize] == colour[b as usize]);
+    let (of, count) = connected(albedo.len(), adjacency, together);
 
     let mut regions = vec![Region::default(); count];
+    let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);
     let mut largest = vec![(0.0_f32, 0_u32); surfaces];
     for (t, &r) in of.iter().enumerate().filter(|(t, _)| seen(*t)) {
         let region = &mut regions[r as usize];
@@ -95,37 +85,17 @@ pub fn classes(
     (0..of.len()).map(|t| stands(t).then(|| class[of[t] as usize])).collect()
 }
 
-/// Albedo averaged over neighbours that belong together.
-fn blurred(
-    adjacency: &Adjacency,
-    together: impl Fn(u32, u32) -> bool + Sync,
-    albedo: &[Vec3A],
-    texel: f32,
-) -> Vec<Vec3A> {
-    let mut albedo = albedo.to_vec();
-    for _ in 0..labels::rounds(BLUR, texel) {
-        let mean = |t: u32| {
-            let own = (albedo[t as usize], 1.0);
-            let around = adjacency.around(t).filter(|&n| together(t, n));
-            let (sum, count) = around.fold(own, |(sum, count), n| (sum + albedo[n as usize], count + 1.0));
-            sum / count
-        };
-        albedo = (0..albedo.len() as u32).into_par_iter().map(mean).collect();
-    }
-    albedo
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::hidden::flat_surfaces;
     use super::*;
     use crate::surface::SurfacePoint;
 
-    const SIDE: usize = 60;
-    const TEXEL: f32 = 0.05;
+    pub const SIDE: usize = 60;
+    pub const TEXEL: f32 = 0.05;
 
     /// A floor, and a wall of the same paint beside it, `SIDE` × `SIDE` texels each.
-    fn floor_and_wall() -> (Atlas, Adjacency) {
+    pub fn floor_and_wall() -> (Atlas, Adjacency) {
         let point = |t: usize| {
             let (x, y) = ((t % SIDE) as f32 * TEXEL, (t / SIDE % SIDE) as f32 * TEXEL);
             let (position, normal) =
@@ -173,7 +143,8 @@ mod tests {
         };
         let albedo: Vec<Vec3A> = (0..atlas.points.len()).map(paint).collect();
         let surface = flat_surfaces(&atlas, &adjacency);
-        let found = classes((&atlas, TEXEL), &adjacency, &surface, &albedo, |t| !hidden(t));
+        let colours = Colours::find(&adjacency, &surface, &albedo, |t| !hidden(t), TEXEL);
+        let found = classes((&atlas, TEXEL), &adjacency, &surface, &colours, |t| !hidden(t));
         let (floor, rug, wall) = (found[45 * SIDE + 5], found[20 * SIDE + 20], found[90 * SIDE + 30]);
         assert!(floor.is_some() && rug.is_some() && wall.is_some());
         assert!(floor != rug && floor != wall && rug != wall, "{floor:?} {rug:?} {wall:?}");

@@ -7,6 +7,8 @@ pub mod albedo;
 pub mod automatic;
 pub mod bands;
 pub mod blocks;
+pub mod borders;
+pub mod colours;
 pub mod hidden;
 pub mod hierarchy;
 pub mod joints;
@@ -105,8 +107,10 @@ fn recover(
     let Ground { scene, atlas, adjacency, .. } = *ground;
     let texel = atlas.typical_texel(&scene.mesh);
     let diffuse_albedo = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
-    let apparent = || of_texels(&ground.tbl.radiance, atlas).into_iter().zip(irradiance).map(diffuse_albedo).collect();
-    let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, apparent, ground.plan);
+    let apparent: Vec<Vec3A> =
+        of_texels(&ground.tbl.radiance, atlas).into_iter().zip(irradiance).map(diffuse_albedo).collect();
+    let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, ground.plan);
+    drop(apparent);
     let segment = (&segments.segment[..], segments.count());
     let mut problem =
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);

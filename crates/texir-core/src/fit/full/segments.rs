@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 
+use super::colours::Colours;
 use super::labels::Labels;
-use super::{automatic, hidden};
+use super::{automatic, borders, hidden};
 use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
@@ -28,27 +29,30 @@ impl Segments {
     }
 }
 
-/// Segments the texels by the labels that the views voted for; where views have no classes, by geometry and their `albedo`
-/// ([`automatic`]). Texels around which there are none take the label of what is seen of their flat surface, or of the
-/// nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. `texel` is the edge
-/// of a typical texel, metres.
+/// Segments the texels by the labels that the views voted for, with borders where the colour changes ([`borders`]); where views
+/// have no classes, by geometry and colour alone ([`automatic`]). Texels around which there are none take the label of what is
+/// seen of their flat surface, or of the nearest texel along the mesh. Rooms are the capture's, where it names them, and else
+/// the floor plan's. `albedo` may be as rough as π · radiance / irradiance; `texel` is the edge of a typical texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
     labels: &Labels,
     is_seen: &[bool],
-    albedo: impl FnOnce() -> Vec<Vec3A>,
+    albedo: &[Vec3A],
     plan: &FloorPlan,
 ) -> Segments {
     let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
         spread(hidden::label(atlas, &labels.surface, known, texel), adjacency, otherwise)
     };
-    let class = if labels.has_classes() {
-        everywhere(&labels.class, &|_| 0)
+    let seen = |t: usize| is_seen[t];
+    let colours = Colours::find(adjacency, &labels.surface, albedo, seen, texel);
+    let known = if labels.has_classes() {
+        borders::settle(labels.class.clone(), adjacency, &labels.surface, &colours, texel)
     } else {
-        let seen = |t: usize| is_seen[t];
-        everywhere(&automatic::classes((atlas, texel), adjacency, &labels.surface, &albedo(), seen), &|_| 0)
+        automatic::classes((atlas, texel), adjacency, &labels.surface, &colours, seen)
     };
+    drop(colours);
+    let class = everywhere(&known, &|_| 0);
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
     let room =
