@@ -9,9 +9,9 @@ use std::collections::VecDeque;
 use super::colours::Colours;
 use crate::fit::adjacency::Adjacency;
 
-/// How far from a border labels may be wrong, metres: two pixels' width of a panorama of 256 columns, seen three to four
-/// metres away.
-const UNSURE: f32 = 0.25;
+/// How far from a border labels may be wrong, metres: two pixels of a panorama of 256 columns are a twentieth of the distance, and
+/// rooms are some metres wide.
+const UNSURE: f32 = 0.3;
 
 /// The labels with borders moved to where the colour changes on the same flat `surface`. What is nowhere reached keeps its
 /// label: a picture on a wall, a thing of its own surface. `texel` is the edge of a typical texel, metres.
