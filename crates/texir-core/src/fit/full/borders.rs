@@ -30,6 +30,9 @@ pub fn settle(
     let mut sure = vec![true; label.len()];
     let mut ring: Vec<u32> = (0..label.len() as u32).filter(|&t| on_surface(t).any(|n| differ(t, n))).collect();
     for _ in 0..(UNSURE / texel).ceil() as usize {
+        if ring.is_empty() {
+            break;
+        }
         ring.iter().for_each(|&t| sure[t as usize] = false);
         ring = ring.iter().flat_map(|&t| on_surface(t)).filter(|&n| sure[n as usize]).collect();
         ring.sort_unstable();
