@@ -28,8 +28,10 @@ struct IrradianceParams {
     light_samples: u32,
     sky_samples: u32,
     seed: u32,
-    // Which stretch of the sequences: sample 0 is their point part · n_c, part · n_l or part · n_s.
+    // Which stretch of its own sequences a point draws: sample 0 is their point part · n_c, part · n_l or part · n_s;
     part: u32,
+    // or, unless 0, how many texels wide the map is whose blocks of Z_SIDE² share sequences.
+    width: u32,
     // Rows of the environment with bright pixels.
     sky_rows: u32,
 }
@@ -75,8 +77,9 @@ struct Share {
     lane: u32,
     exists: bool,
     point: SurfacePoint,
-    // Seed of the point's sequences.
+    // Seed of the point's sequences, and which stretch of them it draws.
     seed: u32,
+    stretch: u32,
     // Where the point's table of the lights begins.
     table: u32,
 }
@@ -84,8 +87,16 @@ struct Share {
 fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
     let item = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
     let point = points[min(item, params.count - 1u)];
-    let seed = hash2(params.seed, point.sequence);
-    return Share(item, thread % LANES, item < params.count, point, seed, light_table(point.position, point.normal));
+    var seed = hash2(params.seed, point.sequence);
+    var stretch = params.part;
+    if params.width > 0u {
+        let at = vec2u(point.sequence % params.width, point.sequence / params.width);
+        let block = at / Z_SIDE;
+        seed = hash2(params.seed, block.y * ((params.width + Z_SIDE - 1u) / Z_SIDE) + block.x);
+        stretch = along_z_curve(at % Z_SIDE) ^ (hash2(seed, 0u) % (Z_SIDE * Z_SIDE));
+    }
+    let table = light_table(point.position, point.normal);
+    return Share(item, thread % LANES, item < params.count, point, seed, stretch, table);
 }
 
 fn sample_count() -> u32 {
@@ -117,7 +128,7 @@ fn gather_cosine(
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
     for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
-        let local = cosine_direction(lattice2(params.part * params.cosine_samples + sample_order[k], offset));
+        let local = cosine_direction(lattice2(own.stretch * params.cosine_samples + sample_order[k], offset));
         let direction = world_from_frame(frame, local);
         sum += contribution(closest_hit(own.point.position, direction, T_FAR), direction, local.z, own.table);
     }
@@ -143,7 +154,7 @@ fn gather_lights(
     let offset = vec2u(hash2(own.seed, 1u), hash2(own.seed, 2u));
     var sum = vec3f(0.0);
     for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
-        let light = light_point(own.table, lattice2(params.part * params.light_samples + sample_order[k], offset));
+        let light = light_point(own.table, lattice2(own.stretch * params.light_samples + sample_order[k], offset));
         let direction = normalize(light.position - own.point.position);
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.
@@ -168,7 +179,7 @@ fn gather_sky(
     let offset = vec2u(hash2(own.seed, 5u), hash2(own.seed, 6u));
     var sum = vec3f(0.0);
     for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
-        let sky = sky_sample(params.sky_rows, lattice2(params.part * params.sky_samples + sample_order[k], offset));
+        let sky = sky_sample(params.sky_rows, lattice2(own.stretch * params.sky_samples + sample_order[k], offset));
         let cosine = dot(own.point.normal, sky.direction);
         // A negative limit makes the traversal end at once for what is below the horizon.
         let hit = closest_hit(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0));

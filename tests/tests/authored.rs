@@ -26,11 +26,7 @@ use texir_tests::compare::Tolerance;
 use texir_tests::gltf::Document;
 use texir_tests::{gpu, scenes};
 
-const QUALITY: Quality = Quality {
-    gather: Gather { cosine: 32, light: 32, seed: 3, part: 0 },
-    error: None,
-    denoise: Some(Denoiser::Regression),
-};
+const QUALITY: Quality = Quality { gather: Gather::new(32, 32, 3), error: None, denoise: Some(Denoiser::Regression) };
 const BOUNCES: Bounces = Bounces { quality: QUALITY, tolerance: 1e-3, most: 64 };
 
 fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Solved {
@@ -221,7 +217,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
     let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
-    let gather = Gather { cosine: 48, light: 48, seed: 1, part: 0 };
+    let gather = Gather::new(48, 48, 1);
     let bounces = Bounces { quality: Quality { gather, denoise: None, ..QUALITY }, ..BOUNCES };
     let solved = solve(&mut backend, &scene, &atlas, &surfaces, &bounces);
     let denoised =

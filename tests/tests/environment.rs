@@ -61,7 +61,7 @@ fn an_open_plane_under_a_constant_sky_receives_pi_l() {
     for mut backend in backends {
         backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
         backend.set_environment(Some(&Environment::constant(sky).unwrap())).unwrap();
-        let gather = Gather { cosine: 37, light: 8, seed: 1, part: 0 };
+        let gather = Gather::new(37, 8, 1);
         let lit = backend.irradiance(&points, gather, &Silent).unwrap();
         rounding.check(&backend.name(), &lanes3(lit.iter().map(|g| &g.irradiance)), &expected);
         assert!(lit.iter().all(|g| g.back_faces == 0.0));
@@ -86,7 +86,7 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     assert!(!lights.is_empty() && !sky.bright().is_empty());
     backend.set_tbl(&radiance, &lights).unwrap();
     backend.set_environment(Some(&sky)).unwrap();
-    let gather = Gather { cosine: 64, light: 32, seed: 5, part: 0 };
+    let gather = Gather::new(64, 32, 5);
     let got = backend.irradiance(&points, gather, &Silent).unwrap();
     let exact = Exhaustive(&scene.mesh);
     let twin = |environment| -> Vec<f64> {
@@ -130,7 +130,7 @@ fn a_small_sun_is_found_by_few_rays() {
     for mut backend in backends {
         backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
         backend.set_environment(Some(&sky)).unwrap();
-        let gather = Gather { cosine: 16, light: 16, seed: 4, part: 0 };
+        let gather = Gather::new(16, 16, 4);
         let lit = backend.irradiance(&points, gather, &Silent).unwrap();
         assert!(off(&lit).iter().all(|off| *off < 5e-3), "{}: {:?}", backend.name(), off(&lit));
         // Negative control: cosine samples alone miss the sun, or meet it far too often.

@@ -4,7 +4,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient, Sampling, ShadePoint};
+use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient, Sampling, Sequences, ShadePoint};
 use texir_core::brdf::{fresnel_weight, masking};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
@@ -91,7 +91,7 @@ fn many_samples_give_the_same_sum_in_every_shape() {
     let points = points(&scene, 4);
     for (samples, shapes) in [(2048, vec![(1, 64)]), (4096, vec![(64, 64), (8, 64)]), (8192, vec![(64, 32), (32, 27)])]
     {
-        let gather = Gather { cosine: samples, light: samples / 2, seed: 2, part: 0 };
+        let gather = Gather::new(samples, samples / 2, 2);
         let expected = flat(&cpu.irradiance(&points, gather, &Silent).unwrap());
         for (lanes, rays) in shapes {
             backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
@@ -114,7 +114,7 @@ fn buffers_and_textures_hold_the_same_hierarchy() {
     let [buffers, textures] = [Hierarchy::Buffers, Hierarchy::Textures].map(|place| {
         let mut backend = GpuBackend::with_hierarchy(&gpu, &scene, place).unwrap();
         light(&mut backend, &scene);
-        let e = backend.irradiance(&points, Gather { cosine: 64, light: 64, seed: 6, part: 0 }, &Silent).unwrap();
+        let e = backend.irradiance(&points, Gather::new(64, 64, 6), &Silent).unwrap();
         (e, backend.primary(&scenes::cameras()[0]).unwrap())
     });
     ROUNDING.check("E", &flat(&buffers.0), &flat(&textures.0));
@@ -131,8 +131,7 @@ fn few_samples_give_the_same_sum_in_every_shape() {
     let mut expected: Option<(Vec<f64>, Vec<f64>)> = None;
     for (lanes, rays) in [(64, 32), (16, 4), (4, 3), (1, 1), (2, 64)] {
         backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
-        let e =
-            flat(&backend.irradiance(&points, Gather { cosine: 50, light: 21, seed: 2, part: 0 }, &Silent).unwrap());
+        let e = flat(&backend.irradiance(&points, Gather::new(50, 21, 2), &Silent).unwrap());
         let shaded = backend.shade(&pixels, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
         let l = shaded.iter().flat_map(|s| [s.radiance, s.specular_scale]).flatten().map(f64::from).collect();
         let (expected_e, expected_l) = expected.get_or_insert((e.clone(), l));
@@ -152,9 +151,10 @@ fn parts_of_a_gather_are_the_whole() {
     let scene = room();
     let mut backend = lit(&gpu(), &scene);
     let points = points(&scene, 70);
-    let whole = Gather { cosine: 60, light: 24, seed: 2, part: 0 };
+    let whole = Gather::new(60, 24, 2);
     let mut part = |part| {
-        let half = Gather { cosine: whole.cosine / 2, light: whole.light / 2, part, ..whole };
+        let half =
+            Gather { cosine: whole.cosine / 2, light: whole.light / 2, sequences: Sequences::Own { part }, ..whole };
         flat(&backend.irradiance(&points, half, &Silent).unwrap())
     };
     let halves = [part(0), part(1)];
@@ -175,7 +175,7 @@ fn a_closed_room_of_one_radiance_is_a_furnace() {
     for samples in [1, 16, 64, 256, 4096] {
         let points = &points[..if samples > 256 { 10 } else { points.len() }];
         // The light samples have nothing to aim at, and must not count.
-        let gather = Gather { cosine: samples, light: samples, seed: samples, part: 0 };
+        let gather = Gather::new(samples, samples, samples);
         let got = backend.irradiance(points, gather, &Silent).unwrap();
         let e = lanes3(got.iter().map(|g| &g.irradiance));
         ROUNDING.check(&format!("E = πL, {samples} samples"), &e, &expected[..3 * points.len()]);
@@ -203,7 +203,7 @@ fn the_same_call_gives_the_same_bits_however_it_is_cut() {
     let scene = room();
     let mut backend = lit(&gpu, &scene);
     let points = points(&scene, 3000);
-    let gather = Gather { cosine: 128, light: 64, seed: 4, part: 0 };
+    let gather = Gather::new(128, 64, 4);
     let whole = backend.irradiance(&points, gather, &Silent).unwrap();
     // The second call has measured the device, and cuts elsewhere; a new backend starts over.
     assert!(whole == backend.irradiance(&points, gather, &Silent).unwrap());
@@ -249,7 +249,7 @@ fn progress_counts_every_ray_and_cancelling_stops() {
     let scene = room();
     let mut backend = lit(&gpu(), &scene);
     let points = points(&scene, 3000);
-    let gather = Gather { cosine: 80, light: 20, seed: 4, part: 0 };
+    let gather = Gather::new(80, 20, 4);
     let counter = Counter { rays: AtomicU64::new(0), limit: u64::MAX };
     backend.irradiance(&points, gather, &counter).unwrap();
     assert_eq!(counter.rays.into_inner(), 300_000);
@@ -265,7 +265,7 @@ fn empty_work_gives_empty_results() {
     let scene = room();
     let mut backend = lit(&gpu(), &scene);
     let sampling = Sampling { samples: 16, seed: 1 };
-    assert!(backend.irradiance(&[], Gather { cosine: 16, light: 4, seed: 1, part: 0 }, &Silent).unwrap().is_empty());
+    assert!(backend.irradiance(&[], Gather::new(16, 4, 1), &Silent).unwrap().is_empty());
     assert!(backend.shade(&[], &[], sampling, RoughnessGradient::Exact, &Silent).unwrap().is_empty());
     assert!(backend.shade_vjp(&[], &[], &[], &[]).unwrap().is_empty());
     assert!(backend.project(&[], &scenes::cameras()[0]).unwrap().is_empty());
@@ -279,7 +279,7 @@ fn misuse_is_an_error() {
     let gpu = gpu();
     let mut backend = GpuBackend::new(&gpu, &scene).unwrap();
     let points = points(&scene, 2);
-    let one = Gather { cosine: 1, light: 0, seed: 0, part: 0 };
+    let one = Gather::new(1, 0, 0);
     let unlit = backend.irradiance(&points, one, &Silent).unwrap_err().to_string();
     assert!(unlit.contains("lighting"), "{unlit}");
     let dark = Lights::none(&scene.mesh);

@@ -3,8 +3,8 @@
 
 use glam::Vec3;
 use texir_core::backend::{
-    Backend, Gather, Gathered, GroupTarget, Groups, Material, MaterialGrad, RoughnessGradient, Sampling, ShadePoint,
-    Shaded,
+    Backend, Gather, Gathered, GroupTarget, Groups, Material, MaterialGrad, RoughnessGradient, Sampling, Sequences,
+    ShadePoint, Shaded,
 };
 use texir_core::camera::Camera;
 use texir_core::cpu::shade::{MaterialIn, ShadedIn};
@@ -89,7 +89,7 @@ fn rays_that_leave_the_scene_miss() {
         assert!(hits.contains(&Hit::MISS));
     }
     let up = SurfacePoint { position: [0.5, 0.5, 0.1], triangle: 0, normal: [0.0, 0.0, 1.0], sequence: 0 };
-    let gather = Gather { cosine: 32, light: 0, seed: 1, part: 0 };
+    let gather = Gather::new(32, 0, 1);
     let nothing = Gathered { irradiance: [0.0; 3], back_faces: 0.0 };
     assert_eq!(backend.irradiance(&[up], gather, &Silent).unwrap(), [nothing]);
 }
@@ -150,8 +150,12 @@ fn irradiance_gather() {
     let exact = Exhaustive(&scene.mesh);
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
-    for (cosine, light, part) in [(5, 0, 0), (64, 0, 0), (64, 64, 1), (33, 100, 2)] {
-        let gather = Gather { cosine, light, seed: 11, part };
+    let own = |part| Sequences::Own { part };
+    let shared = Sequences::Shared { width: 40 };
+    for (cosine, light, sequences) in
+        [(5, 0, own(0)), (64, 0, own(0)), (64, 64, own(1)), (33, 100, own(2)), (64, 64, shared), (33, 9, shared)]
+    {
+        let gather = Gather { sequences, ..Gather::new(cosine, light, 11) };
         let got: Vec<f64> = backend.irradiance(&points, gather, &Silent).unwrap().iter().flat_map(flat).collect();
         let expected: Vec<f64> = (points.iter())
             .map(|p| irradiance::irradiance::<f64, _>(&lighting, &lights, p, gather))

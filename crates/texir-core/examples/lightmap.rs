@@ -38,7 +38,7 @@ fn main() -> texir_core::error::Result<()> {
         lights: vec![PunctualLight::point([0.8, 0.5, 0.0], [20.0; 3])],
         environment: Some(Environment::constant([5.0, 7.0, 10.0])?),
     };
-    let gather = Gather { cosine: 128, light: 128, seed: 0, part: 0 };
+    let gather = Gather::new(128, 128, 0);
     let bounces = Bounces {
         quality: Quality { gather, error: None, denoise: Some(Denoiser::Regression) },
         tolerance: 0.005,

@@ -16,6 +16,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
+use crate::rng::{Z_SIDE, along_z_curve, hash2};
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Footprints, Pyramid};
@@ -37,14 +38,58 @@ pub struct Gather {
     /// Rays per point to the [`Lights`] and to the bright pixels of the environment, half of them to each where there are
     /// both; 0 leaves them to the cosine samples.
     pub light: u32,
-    /// Seed of the run; a point draws from the sequences shifted by `hash(seed, sequence)`.
+    /// Seed of the run.
     pub seed: u32,
-    /// Which stretch of the sequences: 0 the first `cosine` and `light` points, 1 as many after them, and so on. The mean of
-    /// gathers 0 and 1 is the gather of twice as many rays.
-    pub part: u32,
+    /// What each point draws from.
+    pub sequences: Sequences,
+}
+
+/// Which stretch of which lattice sequence ([`lattice2`](crate::rng::lattice2)) a gather's points draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Sequences {
+    /// Every point has its own, shifted by `hash(seed, sequence)`, and draws its stretch `part`: 0 the first `cosine` and
+    /// `light` points, 1 as many after them, and so on. The mean of gathers 0 and 1 is the gather of twice as many rays.
+    Own {
+        /// Which stretch.
+        part: u32,
+    },
+    /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Those of a block of 32 × 32
+    /// share a sequence, and each draws a stretch of its own; along a Z curve through the block these continue each other.
+    /// One texel's error is as by sequences of its own, but neighbours' errors cancel, so that a denoiser finds less to
+    /// remove (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of
+    /// Pixels", SIGGRAPH Asia 2020).
+    Shared {
+        /// Texels in a row.
+        width: u32,
+    },
+}
+
+impl Sequences {
+    /// Of a run of some `seed`, the seed of the sequence that the point with this number draws from, and which stretch of it.
+    pub fn of(self, seed: u32, number: u32) -> (u32, u32) {
+        match self {
+            Self::Own { part } => (hash2(seed, number), part),
+            Self::Shared { width } => {
+                let (x, y) = (number % width, number / width);
+                let seed = hash2(seed, y / Z_SIDE * width.div_ceil(Z_SIDE) + x / Z_SIDE);
+                // Differently mixed for every seed, so that two halves of a texel's samples do not err alike.
+                (seed, along_z_curve([x % Z_SIDE, y % Z_SIDE]) ^ (hash2(seed, 0) % (Z_SIDE * Z_SIDE)))
+            }
+        }
+    }
 }
 
 impl Gather {
+    /// Every point by a sequence of its own.
+    pub const fn new(cosine: u32, light: u32, seed: u32) -> Self {
+        Self { cosine, light, seed, sequences: Sequences::Own { part: 0 } }
+    }
+
+    /// The same rays, at texels of a map `width` texels wide that share their sequences.
+    pub const fn shared(self, width: usize) -> Self {
+        Self { sequences: Sequences::Shared { width: width as u32 }, ..self }
+    }
+
     /// The rays to lights and those to the bright pixels of the environment, by which of them there are.
     pub fn light_and_sky(&self, lights: bool, sky: bool) -> [u32; 2] {
         match (lights, sky) {
@@ -322,4 +367,56 @@ pub trait Backend {
         channels: usize,
         footprints: &Footprints,
     ) -> Result<Vec<f32>>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::lattice2;
+
+    const WIDTH: u32 = 100;
+    const SAMPLES: u32 = 64;
+
+    /// The points that texel (x, y) draws.
+    fn drawn(sequences: Sequences, seed: u32, [x, y]: [u32; 2]) -> impl Iterator<Item = [f32; 2]> {
+        let (seed, stretch) = sequences.of(seed, y * WIDTH + x);
+        (0..SAMPLES).map(move |i| lattice2(stretch * SAMPLES + i, [hash2(seed, 1), hash2(seed, 2)]))
+    }
+
+    /// Standard deviation over seeds of the share of a disc that the texels of an aligned square find together.
+    fn deviation(sequences: Sequences, side: u32) -> f64 {
+        let inside = |[u, v]: [f32; 2]| f64::from(u8::from((u - 0.4).powi(2) + (v - 0.6).powi(2) < 0.09));
+        let square = |seed: u32| {
+            let texels = (0..side * side).map(|i| [64 + i % side, 8 + i / side]);
+            let found: f64 = texels.flat_map(|texel| drawn(sequences, seed, texel)).map(inside).sum();
+            found / f64::from(side * side * SAMPLES) - 0.09 * std::f64::consts::PI
+        };
+        ((0..300).map(|seed| square(seed).powi(2)).sum::<f64>() / 300.0).sqrt()
+    }
+
+    #[test]
+    fn errors_of_texels_that_share_a_sequence_cancel() {
+        let (own, shared) = (Sequences::Own { part: 0 }, Sequences::Shared { width: WIDTH });
+        let alone = deviation(shared, 1) / deviation(own, 1);
+        assert!((0.8..1.25).contains(&alone), "{alone}: one texel is as good as before");
+        for side in [2, 4] {
+            let ratio = deviation(shared, side) / deviation(own, side);
+            assert!(ratio < 1.2 / f64::from(side).sqrt(), "{side}² texels: {ratio}");
+        }
+    }
+
+    #[test]
+    fn texels_of_a_block_draw_stretches_of_their_own() {
+        let shared = Sequences::Shared { width: WIDTH };
+        let block = |seed: u32| -> Vec<(u32, u32)> {
+            (0..Z_SIDE * Z_SIDE).map(|i| shared.of(seed, (32 + i / Z_SIDE) * WIDTH + 64 + i % Z_SIDE)).collect()
+        };
+        let [a, b] = [3, 4].map(block);
+        assert!(a.iter().all(|(seed, stretch)| *seed == a[0].0 && *stretch < Z_SIDE * Z_SIDE));
+        let different: std::collections::BTreeSet<u32> = a.iter().map(|(_, stretch)| *stretch).collect();
+        assert_eq!(different.len(), a.len());
+        assert!(a[0].1 != b[0].1, "seeds mix differently");
+        assert_ne!(a[0].0, shared.of(3, 31 * WIDTH + 64).0, "the block above has another sequence");
+        assert_ne!(a[0].0, shared.of(3, 32 * WIDTH + 63).0, "and so has the one beside it");
+    }
 }

@@ -71,6 +71,20 @@ pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
     [to_unit(x.wrapping_add(offset[0])), to_unit(x.wrapping_mul(GENERATOR).wrapping_add(offset[1]))]
 }
 
+/// Cells along an edge of a square that [`along_z_curve`] goes through.
+pub const Z_SIDE: u32 = 32;
+
+/// How many cells of a square of [`Z_SIDE`]² a Z curve (Morton 1966) passes before it comes to that in a column and a row: their
+/// bits by turns. Every aligned square of 2^k cells along an edge is one stretch of it.
+pub fn along_z_curve(cell: [u32; 2]) -> u32 {
+    let [x, y] = cell.map(|v| {
+        let v = (v | (v << 4)) & 0x0f0f;
+        let v = (v | (v << 2)) & 0x3333;
+        (v | (v << 1)) & 0x5555
+    });
+    x | (y << 1)
+}
+
 /// Indices of [`lattice2`] in the order in which a curve that fills the square (Hilbert 1891) meets their points: rays that
 /// are traced after or beside each other then go similar ways, and read the same parts of the scene.
 pub fn along_hilbert_curve(mut indices: Vec<u32>) -> Vec<u32> {
@@ -109,6 +123,19 @@ mod tests {
         cells.sort_by_key(|&i| hilbert(centre(i)));
         let apart = |a: u32, b: u32| (a % SIDE).abs_diff(b % SIDE) + (a / SIDE).abs_diff(b / SIDE);
         assert!(cells.windows(2).all(|pair| apart(pair[0], pair[1]) == 1));
+    }
+
+    #[test]
+    fn a_z_curve_passes_every_cell_and_square_after_square() {
+        let mut passed = vec![false; (Z_SIDE * Z_SIDE) as usize];
+        for i in 0..Z_SIDE * Z_SIDE {
+            let cell = [i % Z_SIDE, i / Z_SIDE];
+            assert!(!std::mem::replace(&mut passed[along_z_curve(cell) as usize], true), "{cell:?}");
+            for k in 1..5 {
+                let square = cell.map(|v| v >> k << k);
+                assert_eq!(along_z_curve(cell) >> (2 * k), along_z_curve(square) >> (2 * k), "{cell:?}");
+            }
+        }
     }
 
     /// Standard deviation, over 400 seeds, of the estimated share of a disc in the unit square.

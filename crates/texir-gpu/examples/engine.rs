@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let radiance = emitted(&atlas);
     backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance))?;
 
-    let gather = Gather { cosine: 64, light: 64, seed: 1, part: 0 };
+    let gather = Gather::new(64, 64, 1);
     let console = Console::default();
     let baked = bake::irradiance(&mut backend, &atlas, gather, &Checkpoints::none(), &console)?;
     let irradiance = baked.map(&atlas, Buried::Fill);

@@ -80,6 +80,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 sky_samples,
                 seed,
                 part,
+                width,
                 sky_rows
             }),
         ),

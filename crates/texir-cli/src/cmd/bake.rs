@@ -147,7 +147,7 @@ impl Bake {
     /// How many rays, and what becomes of their noise.
     fn quality(&self, session: &Session<'_>) -> Result<Quality, Failure> {
         let light = if self.cosine_only { 0 } else { self.spp / 2 };
-        let gather = Gather { cosine: self.spp - light, light, seed: session.config.fit.seed, part: 0 };
+        let gather = Gather::new(self.spp - light, light, session.config.fit.seed);
         if self.error.is_some_and(|error| !(error > 0.0 && error.is_finite())) {
             return Err(Failure::new("--error must be a number above 0: 0.02 is 2 % of a texel's luminance"));
         }

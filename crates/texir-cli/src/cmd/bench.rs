@@ -162,13 +162,9 @@ fn rays_per_second(backend: &mut dyn Backend, mesh: &Mesh) -> Result<f64, Failur
     loop {
         let points: Vec<SurfacePoint> = (0..count as u32).map(point).collect();
         // The first call compiles the kernel and finds out how much a dispatch may hold.
-        backend.irradiance(&points[..POINTS], Gather { cosine: RAYS, light: 0, seed: 0, part: 0 }, &Silent)?;
+        backend.irradiance(&points[..POINTS], Gather::new(RAYS, 0, 0), &Silent)?;
         let start = Instant::now();
-        backend.irradiance(
-            &points,
-            Gather { cosine: RAYS, light: 0, seed: hash2(1, count as u32), part: 0 },
-            &Silent,
-        )?;
+        backend.irradiance(&points, Gather::new(RAYS, 0, hash2(1, count as u32)), &Silent)?;
         let seconds = start.elapsed().as_secs_f64();
         if seconds >= LONG_ENOUGH || count >= MOST_POINTS {
             return Ok((count as u64 * u64::from(RAYS)) as f64 / seconds);
@@ -184,7 +180,7 @@ fn bake(backend: &mut dyn Backend, scene: &Scene, side: usize, session: &Session
     let map_seconds = start.elapsed().as_secs_f64();
     let start = Instant::now();
     session.console.start(&format!("{side}²"), atlas.points.len() as u64 * u64::from(ATLAS_RAYS), "rays");
-    backend.irradiance(&atlas.points, Gather { cosine: ATLAS_RAYS, light: 0, seed: 0, part: 0 }, session.console)?;
+    backend.irradiance(&atlas.points, Gather::new(ATLAS_RAYS, 0, 0), session.console)?;
     session.console.finish();
     let gather_seconds = start.elapsed().as_secs_f64();
     Ok(AtlasRow { side, texels: atlas.texels.len(), map_seconds, gather_seconds, peak_bytes: peak_bytes() })

@@ -242,7 +242,7 @@ fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures 
     for bounce in 0..BOUNCES {
         let radiance = outgoing(&albedo, &irradiance, &emission);
         backend.set_tbl(&radiance, &lights).unwrap();
-        let gather = Gather { cosine: 32, light: 32, seed: bounce as u32, part: 0 };
+        let gather = Gather::new(32, 32, bounce as u32);
         irradiance =
             bake::irradiance(backend, &atlas, gather, &Checkpoints::none(), &Silent).unwrap().map(&atlas, Buried::Fill);
     }

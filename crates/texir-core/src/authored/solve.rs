@@ -112,8 +112,8 @@ impl Solver<'_> {
     fn gather(&mut self, tbl: &Rgb, bounce: u32, share: f64) -> Result<Baked> {
         // Two, of which errors are told, unless it was one from the start.
         let scaled = |n: u32| ((f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32).max(n.min(2));
-        let Quality { gather: Gather { cosine, light, seed, part }, error, denoise } = self.bounces.quality;
-        let gather = Gather { cosine: scaled(cosine), light: scaled(light), seed: hash2(seed, bounce), part };
+        let Quality { gather: Gather { cosine, light, seed, .. }, error, denoise } = self.bounces.quality;
+        let gather = Gather::new(scaled(cosine), scaled(light), hash2(seed, bounce));
         // Variance in proportion to the light that a bounce brings: that of the sum is then at most `error` squared.
         let error = error.map(|error| error / share.clamp(f64::MIN_POSITIVE, 1.0).sqrt() as f32);
         let quality = Quality { gather, error, denoise };

@@ -14,7 +14,7 @@ use super::store::{Items, Store};
 use super::surface::Surface;
 use super::texels::{PIECE, Texels};
 use super::tiles::{Tiles, rays_of};
-use crate::backend::{Backend, Gather, Gathered};
+use crate::backend::{Backend, Gather, Gathered, Sequences};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::neighbours::Neighbours;
@@ -62,7 +62,7 @@ impl Estimate {
         let mut estimate =
             Self { halves: [texels.zeroed()?, texels.zeroed()?], rays: texels.zeroed()?, floor: f32::MIN_POSITIVE };
         let mut active = None;
-        for (number, &round) in rounds(gather, target.is_some()).iter().enumerate() {
+        for (number, &round) in rounds(gather, target.is_some(), texels.size()[0]).iter().enumerate() {
             if let (Some(target), true) = (target, number > 0) {
                 active = Some(estimate.above(target, surface, progress)?);
             }
@@ -74,7 +74,7 @@ impl Estimate {
                 tiles.gather(seed, backend, &kept, progress, |items, found| {
                     let before = all.get(items)?;
                     let joined: Vec<Gathered> =
-                        before.iter().zip(found).map(|(before, found)| joined(before, found, round.part)).collect();
+                        before.iter().zip(found).map(|(before, found)| joined(before, found, number)).collect();
                     all.set(items, &joined)
                 })?;
             }
@@ -209,23 +209,30 @@ impl Known<'_> {
     }
 }
 
-/// The gather of all parts up to `part`, which has as many rays as those before it together.
-fn joined(before: &Gathered, last: &Gathered, part: u32) -> Gathered {
-    if part == 0 {
+/// The gather of all rounds up to this `round`, which has as many rays as those before it together.
+fn joined(before: &Gathered, last: &Gathered, round: usize) -> Gathered {
+    if round == 0 {
         return *last;
     }
     let mean = |c: usize| (before.irradiance[c] + last.irradiance[c]) / 2.0;
     Gathered { irradiance: [mean(0), mean(1), mean(2)], back_faces: (before.back_faces + last.back_faces) / 2.0 }
 }
 
-/// The gathers of one half: all at once, or a small one and others that double it until all are drawn.
-fn rounds(gather: Gather, adaptive: bool) -> Vec<Gather> {
-    let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, part: 0, ..gather };
-    let doublings = if adaptive { (half.cosine / FIRST).checked_ilog2().unwrap_or(0) } else { 0 };
-    let first = Gather { cosine: half.cosine >> doublings, light: half.light >> doublings, ..half };
-    let doubling =
-        (0..doublings).map(|k| Gather { cosine: first.cosine << k, light: first.light << k, part: 1, ..half });
-    std::iter::once(first).chain(doubling).collect()
+/// The gathers of one half: all at once, by sequences that the texels of a map `width` texels wide share; or, where texels stop
+/// at different times, by sequences of their own, a small one and others that double it until all are drawn.
+fn rounds(gather: Gather, adaptive: bool, width: usize) -> Vec<Gather> {
+    let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, ..gather };
+    if !adaptive {
+        return vec![half.shared(width)];
+    }
+    let doublings = (half.cosine / FIRST).checked_ilog2().unwrap_or(0);
+    let part = |part, double: u32| Gather {
+        cosine: (half.cosine >> doublings) << double,
+        light: (half.light >> doublings) << double,
+        sequences: Sequences::Own { part },
+        ..half
+    };
+    std::iter::once(part(0, 0)).chain((0..doublings).map(|k| part(1, k))).collect()
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use crate::progress::Silent;
 use crate::scene::Scene;
 
 const SIDE: usize = 16;
-const GATHER: Gather = Gather { cosine: 8, light: 0, seed: 3, part: 0 };
+const GATHER: Gather = Gather::new(8, 0, 3);
 /// Points of a tile.
 const TILE: usize = 10;
 

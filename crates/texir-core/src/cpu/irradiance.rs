@@ -4,6 +4,8 @@ use std::f64::consts::FRAC_1_PI;
 
 use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
+#[cfg(doc)]
+use crate::backend::Sequences;
 use crate::backend::{Gather, Gathered};
 use crate::brdf::basis;
 use crate::lights::Lights;
@@ -21,8 +23,8 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s), the balance heuristic over n_c cosine samples, n_l samples of lights and
 /// n_s of the bright sky (Veach and Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point
-/// part · n_c + i of the lattice sequence shifted by two hashes of `hash2(seed, sequence)`, those of lights and sky likewise
-/// points of others.
+/// stretch · n_c + i of the lattice sequence shifted by two hashes of the seed of the point's [`Sequences`], those of lights and
+/// sky likewise points of others.
 ///
 /// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
 /// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.
@@ -35,7 +37,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let mesh = lighting.tracer.mesh();
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
     let (tangent, bitangent) = basis(normal);
-    let seed = hash2(gather.seed, point.sequence);
+    let (seed, stretch) = gather.sequences.of(gather.seed, point.sequence);
     let sky = lighting.environment.filter(|sky| !sky.bright().is_empty());
     let [light_samples, sky_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
     let table = lights.table(point.position.into(), point.normal.into());
@@ -44,7 +46,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
 
     let offset = [hash2(seed, 3), hash2(seed, 4)];
     for i in 0..gather.cosine {
-        let V3([x, y, z]) = cosine_direction(lattice2(gather.part.wrapping_mul(gather.cosine).wrapping_add(i), offset));
+        let V3([x, y, z]) = cosine_direction(lattice2(stretch.wrapping_mul(gather.cosine).wrapping_add(i), offset));
         let direction = tangent * x + bitangent * y + normal * z;
         let Some(hit) = lighting.tracer.closest(origin, direction) else {
             if let Some(sky) = lighting.environment {
@@ -65,7 +67,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let offset = [hash2(seed, 1), hash2(seed, 2)];
     for i in 0..light_samples {
         let (triangle, target) =
-            light_point(mesh, lights, table, lattice2(gather.part.wrapping_mul(light_samples).wrapping_add(i), offset));
+            light_point(mesh, lights, table, lattice2(stretch.wrapping_mul(light_samples).wrapping_add(i), offset));
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
@@ -79,7 +81,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     if let Some(sky) = sky {
         let offset = [hash2(seed, 5), hash2(seed, 6)];
         for i in 0..sky_samples {
-            let index = gather.part.wrapping_mul(sky_samples).wrapping_add(i);
+            let index = stretch.wrapping_mul(sky_samples).wrapping_add(i);
             let (direction, pixel) = sky.bright_direction(lattice2(index, offset));
             let cosine = normal.dot(direction);
             if !(cosine > R::of(0.0)) || lighting.tracer.closest(origin, direction).is_some() {

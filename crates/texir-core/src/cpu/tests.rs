@@ -245,7 +245,7 @@ fn a_closed_box_of_constant_radiance_is_a_furnace() {
     let points: Vec<SurfacePoint> =
         hits.iter().filter(|h| h.is_hit()).map(|h| SurfacePoint::new(&scene.mesh, h, None)).collect();
     assert!(points.len() > 100);
-    for g in backend.irradiance(&points, Gather { cosine: 64, light: 64, seed: 3, part: 0 }, &Silent).unwrap() {
+    for g in backend.irradiance(&points, Gather::new(64, 64, 3), &Silent).unwrap() {
         let e = g.irradiance;
         assert_eq!(g.back_faces, 0.0);
         close(f64::from(e[0]), std::f64::consts::TAU, 1e-5, "E = πL");
@@ -296,7 +296,7 @@ fn light_samples_change_the_noise_and_not_the_mean() {
     assert_eq!(lights.triangles.len(), 2);
     backend.set_tbl(&tbl, &lights).unwrap();
     let mut gather = |cosine, light, seed| -> Vec<f64> {
-        let all = backend.irradiance(&atlas.points, Gather { cosine, light, seed, part: 0 }, &Silent).unwrap();
+        let all = backend.irradiance(&atlas.points, Gather::new(cosine, light, seed), &Silent).unwrap();
         all.iter().map(|g| f64::from(g.irradiance[0])).collect()
     };
     let truth = gather(16_384, 0, 1);

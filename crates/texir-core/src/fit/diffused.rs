@@ -94,7 +94,7 @@ mod tests {
             lights: Vec::new(),
             environment: None,
         };
-        let gather = Gather { cosine: 64, light: 64, seed: 3, part: 0 };
+        let gather = Gather::new(64, 64, 3);
         let bounces = Bounces {
             quality: Quality { gather, error: None, denoise: Some(Denoiser::Regression) },
             tolerance: 1e-3,

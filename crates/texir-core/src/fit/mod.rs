@@ -137,7 +137,7 @@ pub fn fit(
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
     let lights = Lights::find(scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
-    let gather = |rays: &u32| Gather { cosine: rays - rays / 2, light: rays / 2, seed: settings.seed, part: 0 };
+    let gather = |rays: &u32| Gather::new(rays - rays / 2, rays / 2, settings.seed);
     let gathers: Vec<Gather> = settings.irradiance_rays(atlas.typical_texel(&scene.mesh)).iter().map(gather).collect();
     let irradiance = bake::denoised(backend, &scene.mesh, &atlas, gathers[0], checkpoints, progress)?
         .map(&atlas, bake::Buried::Fill);

@@ -82,7 +82,7 @@ fn form_factor([x, y]: [f64; 2], low: [f64; 2], high: [f64; 2], h: f64) -> f64 {
 /// Mean and relative standard deviation of E over seeds at a point.
 fn gathered(backend: &mut dyn Backend, point: &SurfacePoint, cosine: u32, light: u32) -> (f64, f64) {
     let points: Vec<SurfacePoint> = (0..20_000).map(|sequence| SurfacePoint { sequence, ..*point }).collect();
-    let all = backend.irradiance(&points, Gather { cosine, light, seed: 1, part: 0 }, &Silent).unwrap();
+    let all = backend.irradiance(&points, Gather::new(cosine, light, 1), &Silent).unwrap();
     let n = all.len() as f64;
     let e = || all.iter().map(|g| f64::from(g.irradiance[0]));
     let mean = e().sum::<f64>() / n;

@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
-use texir_core::backend::{Gather, Gathered};
+use texir_core::backend::{Gather, Gathered, Sequences};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
 use texir_core::rng::along_hilbert_curve;
@@ -26,6 +26,7 @@ pub(crate) struct IrradianceParams {
     pub sky_samples: u32,
     pub seed: u32,
     pub part: u32,
+    pub width: u32,
     pub sky_rows: u32,
 }
 
@@ -65,6 +66,10 @@ impl Gathering for Irradiance<'_> {
         items: Range<usize>,
         samples: Range<u32>,
     ) -> Result<()> {
+        let (part, width) = match self.gather.sequences {
+            Sequences::Own { part } => (part, 0),
+            Sequences::Shared { width } => (0, width),
+        };
         let params = ctx.params(&IrradianceParams {
             count: items.len() as u32,
             first_sample: samples.start,
@@ -73,7 +78,8 @@ impl Gathering for Irradiance<'_> {
             light_samples: self.samples[1],
             sky_samples: self.samples[2],
             seed: self.gather.seed,
-            part: self.gather.part,
+            part,
+            width,
             sky_rows: self.geometry.sky_rows,
         });
         let order = along_hilbert_curve(samples.clone().collect());

@@ -6,7 +6,7 @@ use crate::raster::Rgb;
 use crate::scene::Scene;
 
 const SIDE: usize = 48;
-const GATHER: Gather = Gather { cosine: 512, light: 0, seed: 3, part: 0 };
+const GATHER: Gather = Gather::new(512, 0, 3);
 /// Relative error at which texels stop: above what some of them have at last, below what any has at first.
 const TARGET: f32 = 0.25;
 
@@ -97,13 +97,14 @@ fn standard_errors_are_those_that_estimates_have() {
 fn rounds_double_up_to_all_rays() {
     for (cosine, light, expected) in [(512, 512, 256), (100, 50, 50), (2, 2, 1), (33, 0, 16), (1000, 24, 500)] {
         let gather = Gather { cosine, light, ..GATHER };
-        let rounds = rounds(gather, true);
+        let rounds = rounds(gather, true, SIDE);
         let mut sum = 0;
         for round in &rounds {
-            assert!(round.part == u32::from(sum > 0) && (sum == 0 || round.cosine == sum), "{rounds:?}");
+            let part = Sequences::Own { part: u32::from(sum > 0) };
+            assert!(round.sequences == part && (sum == 0 || round.cosine == sum), "{rounds:?}");
             sum += round.cosine;
         }
         assert!(sum <= expected && sum + (1 << rounds.len()) > expected, "{rounds:?}");
-        assert_eq!(super::rounds(gather, false).len(), 1);
+        assert_eq!(super::rounds(gather, false, SIDE), [Gather::new(cosine / 2, light / 2, gather.seed).shared(SIDE)]);
     }
 }

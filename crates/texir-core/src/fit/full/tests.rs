@@ -72,7 +72,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let lights = Lights::find(&scene, &atlas, &radiance);
     backend.set_tbl(&radiance, &lights).unwrap();
     let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();
-    let gather = Gather { cosine: 1024, light: 1024, seed: 3, part: 0 };
+    let gather = Gather::new(1024, 1024, 3);
     let irradiance: Vec<Vec3A> =
         backend.irradiance(&atlas.points, gather, &Silent).unwrap().iter().map(|g| Vec3A::from(g.irradiance)).collect();
     let mut seen = Observations { rows: Rows { offsets: vec![0], taps: vec![] }, ..Observations::default() };

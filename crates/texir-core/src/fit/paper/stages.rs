@@ -198,7 +198,7 @@ impl<'a> Optimisation<'a> {
         if self.settings.precomputed_irradiance {
             return Ok(points.into());
         }
-        let gather = Gather { cosine: self.settings.specular_samples, light: 0, seed, part: 0 };
+        let gather = Gather::new(self.settings.specular_samples, 0, seed);
         let origins: Vec<SurfacePoint> = points.iter().map(ShadePoint::origin).collect();
         let gathered = self.backend.irradiance(&origins, gather, &Silent)?;
         Ok(points.iter().zip(gathered).map(|(p, g)| ShadePoint { irradiance: g.irradiance, ..*p }).collect())
