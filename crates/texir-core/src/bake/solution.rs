@@ -155,14 +155,20 @@ pub(super) fn as_gathered(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solution> {
-    let gather = gather.shared(texels.size()[0]);
+    let gather = gather.shared(texels.size()[0], [0, 1]);
     let rays = texels.points.len() as u64 * rays_of(gather);
     let (mut irradiance, mut seen) = (texels.zeroed()?, texels.zeroed()?);
     progress.start("irradiance", rays, "rays");
-    Tiles::new(&texels.points, None, gather).gather(gather.seed, backend, checkpoints, progress, |items, found| {
-        irradiance.set(items, &found.iter().map(|g| g.irradiance).collect::<Vec<_>>())?;
-        seen.set(items, &found.iter().map(|g| is_seen(g.back_faces)).collect::<Vec<_>>())
-    })?;
+    Tiles::new(&texels.points, None, rays_of(gather)).gather(
+        gather,
+        backend,
+        checkpoints,
+        progress,
+        |items, found| {
+            irradiance.set(items, &found.iter().map(|g| g.irradiance).collect::<Vec<_>>())?;
+            seen.set(items, &found.iter().map(|g| is_seen(g.back_faces)).collect::<Vec<_>>())
+        },
+    )?;
     progress.finish();
     Ok(Solution { irradiance, seen, standard_error: None, rays })
 }

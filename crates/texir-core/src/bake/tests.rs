@@ -6,7 +6,7 @@ use bytesize::ByteSize;
 use glam::{Vec2, Vec3};
 
 use super::surface::Surface;
-use super::tiles::Tiles;
+use super::tiles::{Tiles, rays_of};
 use super::*;
 use crate::backend::Gathered;
 use crate::cpu::CpuBackend;
@@ -77,16 +77,11 @@ fn in_tiles(
 ) -> Result<Vec<Gathered>> {
     let texels = Texels::of(atlas);
     let mut all = Vec::new();
-    Tiles::new(&texels.points, None, gather).of(len).gather(
-        gather.seed,
-        backend,
-        checkpoints,
-        progress,
-        |_, found| {
-            all.extend_from_slice(found);
-            Ok(())
-        },
-    )?;
+    let tiles = Tiles::new(&texels.points, None, rays_of(gather)).of(len);
+    tiles.gather(gather, backend, checkpoints, progress, |_, found| {
+        all.extend_from_slice(found);
+        Ok(())
+    })?;
     Ok(all)
 }
 

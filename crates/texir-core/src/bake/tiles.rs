@@ -20,14 +20,13 @@ pub(super) struct Tiles<'a> {
     chosen: Option<&'a Store<'a, u32>>,
     /// Points of a tile.
     len: usize,
-    gather: Gather,
 }
 
 impl<'a> Tiles<'a> {
-    /// All points, or those that are `chosen`.
-    pub fn new(points: &'a Store<'a, SurfacePoint>, chosen: Option<&'a Store<'a, u32>>, gather: Gather) -> Self {
-        let len = (RAYS / (rays_of(gather) as usize).max(1)).clamp(1, POINTS);
-        Self { points, chosen, len, gather }
+    /// All points, or those that are `chosen`, for gathers of so many `rays` each.
+    pub fn new(points: &'a Store<'a, SurfacePoint>, chosen: Option<&'a Store<'a, u32>>, rays: u64) -> Self {
+        let len = (RAYS / (rays as usize).max(1)).clamp(1, POINTS);
+        Self { points, chosen, len }
     }
 
     /// The same with so many points in a tile.
@@ -50,10 +49,10 @@ impl<'a> Tiles<'a> {
         })
     }
 
-    /// Gathers from the stream of `seed`, and hands on what was found at the points of every tile.
+    /// Gathers, and hands on what was found at the points of every tile.
     pub fn gather(
         &self,
-        seed: u32,
+        gather: Gather,
         backend: &mut dyn Backend,
         checkpoints: &Checkpoints,
         progress: &dyn Progress,
@@ -64,11 +63,11 @@ impl<'a> Tiles<'a> {
             let mut known = true;
             let found = checkpoints.array(&format!("tile-{number}"), items.len(), || {
                 known = false;
-                backend.irradiance(&self.points.get(&items)?, Gather { seed, ..self.gather }, progress)
+                backend.irradiance(&self.points.get(&items)?, gather, progress)
             })?;
             if known {
                 progress.check()?;
-                progress.advance(items.len() as u64 * rays_of(self.gather));
+                progress.advance(items.len() as u64 * rays_of(gather));
             }
             take(&items, &found)?;
         }

@@ -97,14 +97,17 @@ fn standard_errors_are_those_that_estimates_have() {
 fn rounds_double_up_to_all_rays() {
     for (cosine, light, expected) in [(512, 512, 256), (100, 50, 50), (2, 2, 1), (33, 0, 16), (1000, 24, 500)] {
         let gather = Gather { cosine, light, ..GATHER };
-        let rounds = rounds(gather, true, SIDE);
+        let rounds = rounds(gather, Some(TARGET), SIDE);
         let mut sum = 0;
-        for round in &rounds {
+        for [a, b] in &rounds {
             let part = Sequences::Own { part: u32::from(sum > 0) };
-            assert!(round.sequences == part && (sum == 0 || round.cosine == sum), "{rounds:?}");
-            sum += round.cosine;
+            assert!(a.sequences == part && (sum == 0 || a.cosine == sum), "{rounds:?}");
+            assert!(a.seed != b.seed && Gather { seed: a.seed, ..*b } == *a, "{rounds:?}");
+            sum += a.cosine;
         }
         assert!(sum <= expected && sum + (1 << rounds.len()) > expected, "{rounds:?}");
-        assert_eq!(super::rounds(gather, false, SIDE), [Gather::new(cosine / 2, light / 2, gather.seed).shared(SIDE)]);
+        let half = Gather::new(cosine / 2, light / 2, gather.seed);
+        assert_eq!(super::rounds(gather, Some(0.0), SIDE), [[half, Gather { seed: hash(half.seed), ..half }]]);
+        assert_eq!(super::rounds(gather, None, SIDE), [[0, 1].map(|part| half.shared(SIDE, [part, 2]))]);
     }
 }
