@@ -30,9 +30,8 @@ struct IrradianceParams {
     seed: u32,
     // Which stretch of its own sequences a point draws: sample 0 is their point part · n_c, part · n_l or part · n_s;
     part: u32,
-    // or, unless width is 0, the texels of a map so wide share sequences in blocks of Z_SIDE², and this is one of some parts.
+    // or, unless 0, how many texels wide the map is whose blocks of Z_SIDE² share sequences.
     width: u32,
-    parts: u32,
     // Rows of the environment with bright pixels.
     sky_rows: u32,
 }
@@ -94,8 +93,7 @@ fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
         let at = vec2u(point.sequence % params.width, point.sequence / params.width);
         let block = at / Z_SIDE;
         seed = hash2(params.seed, block.y * ((params.width + Z_SIDE - 1u) / Z_SIDE) + block.x);
-        let place = along_z_curve(at % Z_SIDE) ^ (hash2(seed, 0u) % (Z_SIDE * Z_SIDE));
-        stretch += place * params.parts;
+        stretch = along_z_curve(at % Z_SIDE, hash2(seed, 0u));
     }
     let table = light_table(point.position, point.normal);
     return Share(item, thread % LANES, item < params.count, point, seed, stretch, table);

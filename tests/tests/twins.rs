@@ -151,9 +151,9 @@ fn irradiance_gather() {
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
     let own = |part| Sequences::Own { part };
-    let shared = |part| Sequences::Shared { width: 40, part, parts: 2 };
+    let shared = Sequences::Shared { width: 40 };
     for (cosine, light, sequences) in
-        [(5, 0, own(0)), (64, 0, own(0)), (64, 64, own(1)), (33, 100, own(2)), (64, 64, shared(0)), (33, 9, shared(1))]
+        [(5, 0, own(0)), (64, 0, own(0)), (64, 64, own(1)), (33, 100, own(2)), (64, 64, shared), (33, 9, shared)]
     {
         let gather = Gather { sequences, ..Gather::new(cosine, light, 11) };
         let got: Vec<f64> = backend.irradiance(&points, gather, &Silent).unwrap().iter().flat_map(flat).collect();

@@ -54,18 +54,13 @@ pub enum Sequences {
         part: u32,
     },
     /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Those of a block of 32 × 32
-    /// share a sequence, and each draws a stretch of its own, cut into some `parts`; along a Z curve through the block these
-    /// continue each other.
+    /// share a sequence, and each draws a stretch of its own; along a Z curve through the block these continue each other.
     /// One texel's error is as by sequences of its own, but neighbours' errors cancel, so that a denoiser finds less to
     /// remove (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of
     /// Pixels", SIGGRAPH Asia 2020).
     Shared {
         /// Texels in a row.
         width: u32,
-        /// Which part of a texel's stretch,
-        part: u32,
-        /// and how many there are: the mean of all is the gather of all of the stretch.
-        parts: u32,
     },
 }
 
@@ -74,11 +69,10 @@ impl Sequences {
     pub fn of(self, seed: u32, number: u32) -> (u32, u32) {
         match self {
             Self::Own { part } => (hash2(seed, number), part),
-            Self::Shared { width, part, parts } => {
+            Self::Shared { width } => {
                 let (x, y) = (number % width, number / width);
                 let seed = hash2(seed, y / Z_SIDE * width.div_ceil(Z_SIDE) + x / Z_SIDE);
-                let place = along_z_curve([x % Z_SIDE, y % Z_SIDE]) ^ (hash2(seed, 0) % (Z_SIDE * Z_SIDE));
-                (seed, place * parts + part)
+                (seed, along_z_curve([x % Z_SIDE, y % Z_SIDE], hash2(seed, 0)))
             }
         }
     }
@@ -90,9 +84,9 @@ impl Gather {
         Self { cosine, light, seed, sequences: Sequences::Own { part: 0 } }
     }
 
-    /// The same rays as `part` of `parts` gathers, at texels of a map `width` texels wide that share their sequences.
-    pub const fn shared(self, width: usize, [part, parts]: [u32; 2]) -> Self {
-        Self { sequences: Sequences::Shared { width: width as u32, part, parts }, ..self }
+    /// The same rays, at texels of a map `width` texels wide that share their sequences.
+    pub const fn shared(self, width: usize) -> Self {
+        Self { sequences: Sequences::Shared { width: width as u32 }, ..self }
     }
 
     /// The rays to lights and those to the bright pixels of the environment, by which of them there are.
@@ -380,7 +374,7 @@ mod tests {
     use crate::rng::lattice2;
 
     const WIDTH: u32 = 100;
-    const SHARED: Sequences = Sequences::Shared { width: WIDTH, part: 0, parts: 1 };
+    const SHARED: Sequences = Sequences::Shared { width: WIDTH };
     const SAMPLES: u32 = 64;
 
     /// The points that texel (x, y) draws.
@@ -420,9 +414,8 @@ mod tests {
         assert!(a.iter().all(|(seed, stretch)| *seed == a[0].0 && *stretch < Z_SIDE * Z_SIDE));
         let different: std::collections::BTreeSet<u32> = a.iter().map(|(_, stretch)| *stretch).collect();
         assert_eq!(different.len(), a.len());
-        assert!(a[0].1 != b[0].1, "seeds mix differently");
-        let (_, stretch) = Sequences::Shared { width: WIDTH, part: 1, parts: 2 }.of(3, 32 * WIDTH + 64);
-        assert_eq!(stretch, 2 * a[0].1 + 1);
+        let alike = (0..a.len()).filter(|&i| a[i].1 == b[i].1).count();
+        assert!(alike < 20, "{alike} texels have the stretch of another seed");
         assert_ne!(a[0].0, SHARED.of(3, 31 * WIDTH + 64).0, "the block above has another sequence");
         assert_ne!(a[0].0, SHARED.of(3, 32 * WIDTH + 63).0, "and so has the one beside it");
     }

@@ -38,8 +38,8 @@ const CURVATURE: f32 = 0.5;
 /// The regression's ridge, as a share of the weight: keeps a fit along a line of texels solvable.
 const RIDGE: f64 = 1e-3;
 
-/// Two estimates of a quantity per point, linear RGB; its mean is the estimate. Half of the difference is its standard error where
-/// they know nothing of each other, and more where they are parts of one sequence.
+/// Two independent estimates of a quantity per point, linear RGB; its mean is the estimate, half of the difference its
+/// standard error.
 pub type Halves = [Vec<[f32; 3]>; 2];
 
 /// What a texel's neighbourhood tells about it.

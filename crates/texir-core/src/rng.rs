@@ -75,14 +75,16 @@ pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
 pub const Z_SIDE: u32 = 32;
 
 /// How many cells of a square of [`Z_SIDE`]² a Z curve (Morton 1966) passes before it comes to that in a column and a row: their
-/// bits by turns. Every aligned square of 2^k cells along an edge is one stretch of it.
-pub fn along_z_curve(cell: [u32; 2]) -> u32 {
+/// bits by turns. At every level the halves are met in an order of their own, by `seed`: no pattern can be seen. Even so
+/// every aligned square of 2^k cells along an edge is one stretch of the curve.
+pub fn along_z_curve(cell: [u32; 2], seed: u32) -> u32 {
+    const BITS: u32 = 2 * Z_SIDE.ilog2();
     let [x, y] = cell.map(|v| {
         let v = (v | (v << 4)) & 0x0f0f;
         let v = (v | (v << 2)) & 0x3333;
         (v | (v << 1)) & 0x5555
     });
-    x | (y << 1)
+    owen((x | (y << 1)) << (32 - BITS), seed) >> (32 - BITS)
 }
 
 /// Indices of [`lattice2`] in the order in which a curve that fills the square (Hilbert 1891) meets their points: rays that
@@ -127,15 +129,21 @@ mod tests {
 
     #[test]
     fn a_z_curve_passes_every_cell_and_square_after_square() {
-        let mut passed = vec![false; (Z_SIDE * Z_SIDE) as usize];
-        for i in 0..Z_SIDE * Z_SIDE {
-            let cell = [i % Z_SIDE, i / Z_SIDE];
-            assert!(!std::mem::replace(&mut passed[along_z_curve(cell) as usize], true), "{cell:?}");
-            for k in 1..5 {
-                let square = cell.map(|v| v >> k << k);
-                assert_eq!(along_z_curve(cell) >> (2 * k), along_z_curve(square) >> (2 * k), "{cell:?}");
+        for seed in [0, 5] {
+            let mut passed = vec![false; (Z_SIDE * Z_SIDE) as usize];
+            let along = |cell| along_z_curve(cell, seed);
+            for i in 0..Z_SIDE * Z_SIDE {
+                let cell = [i % Z_SIDE, i / Z_SIDE];
+                assert!(!std::mem::replace(&mut passed[along(cell) as usize], true), "{cell:?}");
+                for k in 1..5 {
+                    let square = cell.map(|v| v >> k << k);
+                    assert_eq!(along(cell) >> (2 * k), along(square) >> (2 * k), "{cell:?}");
+                }
             }
         }
+        // Squares are met in different orders, or a pattern would repeat all over a map.
+        let first = |x: u32| along_z_curve([x, 0], 5) & 3;
+        assert!((0..Z_SIDE).step_by(2).any(|x| first(x) != first(0)));
     }
 
     /// Standard deviation, over 400 seeds, of the estimated share of a disc in the unit square.

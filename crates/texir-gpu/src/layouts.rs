@@ -81,7 +81,6 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 seed,
                 part,
                 width,
-                parts,
                 sky_rows
             }),
         ),

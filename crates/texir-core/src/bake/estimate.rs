@@ -1,4 +1,4 @@
-//! Two gathers of every texel, whose difference tells their error, in rounds until that is small enough.
+//! Two independent gathers of every texel, whose difference tells their error, in rounds until that is small enough.
 //!
 //! Every round but the first doubles a texel's rays. Which texels take part in the next is told by their neighbours: were a
 //! texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often than not (Kirk
@@ -62,17 +62,17 @@ impl Estimate {
         let mut estimate =
             Self { halves: [texels.zeroed()?, texels.zeroed()?], rays: texels.zeroed()?, floor: f32::MIN_POSITIVE };
         let mut active = None;
-        for (number, round) in rounds(gather, error, texels.size()[0]).into_iter().enumerate() {
+        for (number, round) in rounds(gather, target.is_some(), texels.size()[0]).into_iter().enumerate() {
             if let (Some(target), true) = (target, number > 0) {
                 active = Some(estimate.above(target, surface, progress)?);
             }
-            let rays = rays_of(round[0]);
+            let rays = rays_of(round);
             let tiles = Tiles::new(&texels.points, active.as_ref(), rays);
             progress.start("irradiance", tiles.points() as u64 * 2 * rays, "rays");
-            for (half, gather) in round.into_iter().enumerate() {
+            for (half, seed) in [gather.seed, hash(gather.seed)].into_iter().enumerate() {
                 let kept = checkpoints.within(&format!("round-{number}-half-{half}"));
                 let all = &mut estimate.halves[half];
-                tiles.gather(gather, backend, &kept, progress, |items, found| {
+                tiles.gather(Gather { seed, ..round }, backend, &kept, progress, |items, found| {
                     let before = all.get(items)?;
                     let joined: Vec<Gathered> =
                         before.iter().zip(found).map(|(before, found)| joined(before, found, number)).collect();
@@ -219,22 +219,19 @@ fn joined(before: &Gathered, last: &Gathered, round: usize) -> Gathered {
     Gathered { irradiance: [mean(0), mean(1), mean(2)], back_faces: (before.back_faces + last.back_faces) / 2.0 }
 }
 
-/// The gathers of both halves. Where nobody asks for an error, all at once, by sequences that the texels of a map `width` texels
-/// wide share and the halves are parts of. Else the halves know nothing of each other, and neither do texels, which may stop at
-/// different times; up to the `error` at which they do, a small gather is followed by others that double it until all are drawn.
-fn rounds(gather: Gather, error: Option<f32>, width: usize) -> Vec<[Gather; 2]> {
+/// The gathers of one half: all at once, by sequences that the texels of a map `width` texels wide share; or, where texels stop
+/// at different times, by sequences of their own, a small one and others that double it until all are drawn.
+fn rounds(gather: Gather, adaptive: bool, width: usize) -> Vec<Gather> {
     let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, ..gather };
-    let Some(error) = error else {
-        return vec![[0, 1].map(|part| half.shared(width, [part, 2]))];
-    };
-    let doublings = if error > 0.0 { (half.cosine / FIRST).checked_ilog2().unwrap_or(0) } else { 0 };
-    let part = |part, double: u32| {
-        [half.seed, hash(half.seed)].map(|seed| Gather {
-            cosine: (half.cosine >> doublings) << double,
-            light: (half.light >> doublings) << double,
-            seed,
-            sequences: Sequences::Own { part },
-        })
+    if !adaptive {
+        return vec![half.shared(width)];
+    }
+    let doublings = (half.cosine / FIRST).checked_ilog2().unwrap_or(0);
+    let part = |part, double: u32| Gather {
+        cosine: (half.cosine >> doublings) << double,
+        light: (half.light >> doublings) << double,
+        sequences: Sequences::Own { part },
+        ..half
     };
     std::iter::once(part(0, 0)).chain((0..doublings).map(|k| part(1, k))).collect()
 }

@@ -155,7 +155,7 @@ pub(super) fn as_gathered(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solution> {
-    let gather = gather.shared(texels.size()[0], [0, 1]);
+    let gather = gather.shared(texels.size()[0]);
     let rays = texels.points.len() as u64 * rays_of(gather);
     let (mut irradiance, mut seen) = (texels.zeroed()?, texels.zeroed()?);
     progress.start("irradiance", rays, "rays");

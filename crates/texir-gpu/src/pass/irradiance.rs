@@ -27,7 +27,6 @@ pub(crate) struct IrradianceParams {
     pub seed: u32,
     pub part: u32,
     pub width: u32,
-    pub parts: u32,
     pub sky_rows: u32,
 }
 
@@ -67,9 +66,9 @@ impl Gathering for Irradiance<'_> {
         items: Range<usize>,
         samples: Range<u32>,
     ) -> Result<()> {
-        let (part, width, parts) = match self.gather.sequences {
-            Sequences::Own { part } => (part, 0, 1),
-            Sequences::Shared { width, part, parts } => (part, width, parts),
+        let (part, width) = match self.gather.sequences {
+            Sequences::Own { part } => (part, 0),
+            Sequences::Shared { width } => (0, width),
         };
         let params = ctx.params(&IrradianceParams {
             count: items.len() as u32,
@@ -81,7 +80,6 @@ impl Gathering for Irradiance<'_> {
             seed: self.gather.seed,
             part,
             width,
-            parts,
             sky_rows: self.geometry.sky_rows,
         });
         let order = along_hilbert_curve(samples.clone().collect());
