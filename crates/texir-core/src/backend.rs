@@ -59,7 +59,7 @@ pub enum Sequences {
     /// remove (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of
     /// Pixels", SIGGRAPH Asia 2020).
     Shared {
-        /// Texels in a row.
+        /// Texels in a row, at least 1.
         width: u32,
     },
 }
@@ -70,6 +70,7 @@ impl Sequences {
         match self {
             Self::Own { part } => (hash2(seed, number), part),
             Self::Shared { width } => {
+                let width = width.max(1);
                 let (x, y) = (number % width, number / width);
                 let seed = hash2(seed, y / Z_SIDE * width.div_ceil(Z_SIDE) + x / Z_SIDE);
                 (seed, along_z_curve([x % Z_SIDE, y % Z_SIDE], hash2(seed, 0)))

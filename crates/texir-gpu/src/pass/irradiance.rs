@@ -68,7 +68,7 @@ impl Gathering for Irradiance<'_> {
     ) -> Result<()> {
         let (part, width) = match self.gather.sequences {
             Sequences::Own { part } => (part, 0),
-            Sequences::Shared { width } => (0, width),
+            Sequences::Shared { width } => (0, width.max(1)),
         };
         let params = ctx.params(&IrradianceParams {
             count: items.len() as u32,
