@@ -40,7 +40,8 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
             let triangle = hash2(i, 3) % scene.mesh.triangles.len() as u32;
             let [a, b] = sobol2(i, 4);
             let (u, v) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
-            SurfacePoint::new(&scene.mesh, &Hit { triangle, u: 0.9 * u, v: 0.9 * v, t: 0.0 }, None)
+            let hit = Hit { triangle, u: 0.9 * u, v: 0.9 * v, t: 0.0 };
+            SurfacePoint { sequence: i, ..SurfacePoint::new(&scene.mesh, &hit, None) }
         })
         .collect()
 }
@@ -151,9 +152,10 @@ fn irradiance_gather() {
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
     let own = |part| Sequences::Own { part };
-    let shared = Sequences::Shared { width: 40 };
+    // In a narrow map the points lie in blocks below each other, in a wide one beside each other.
+    let shared = |width| Sequences::Shared { width };
     for (cosine, light, sequences) in
-        [(5, 0, own(0)), (64, 0, own(0)), (64, 64, own(1)), (33, 100, own(2)), (64, 64, shared), (33, 9, shared)]
+        [(5, 0, own(0)), (64, 0, own(0)), (64, 64, own(1)), (33, 100, own(2)), (64, 64, shared(40)), (33, 9, shared(3))]
     {
         let gather = Gather { sequences, ..Gather::new(cosine, light, 11) };
         let got: Vec<f64> = backend.irradiance(&points, gather, &Silent).unwrap().iter().flat_map(flat).collect();

@@ -66,7 +66,7 @@ impl Baked {
 /// How a map is baked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
-    /// Rays of a texel, at most.
+    /// Rays of a texel, at most. Its [`Gather::sequences`] are not used: a bake chooses them.
     pub gather: Gather,
     /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes all.
     pub error: Option<f32>,
