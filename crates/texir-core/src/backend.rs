@@ -9,6 +9,7 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 
 use crate::camera::Camera;
+use crate::denoise::Noisy;
 use crate::environment::Environment;
 use crate::error::Result;
 use crate::lights::Lights;
@@ -301,6 +302,10 @@ pub trait Backend {
         lights: &[PunctualLight],
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>>;
+
+    /// Denoise: the mean of two independent gathers of irradiance at every point without most of its noise
+    /// ([`crate::denoise`]). What is further than some eleven texels from a point does not change a bit of its result.
+    fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>>;

@@ -32,7 +32,7 @@ pub mod lights;
 pub mod mesh;
 pub mod mesh_io;
 pub mod metrics;
-mod neighbours;
+pub mod neighbours;
 pub mod outputs;
 pub mod progress;
 pub mod punctual;

@@ -1,70 +1,147 @@
 //! Which points lie near each other on a surface. Neighbours are found in space, so that charts of the atlas do not matter.
 
-use std::collections::HashMap;
-use std::ops::Range;
-
+use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec3};
+use rayon::prelude::*;
 
 use crate::surface::SurfacePoint;
 
 /// Points of one surface face the same way: the cosine between their normals is at least this.
-const SAME_WAY: f32 = 0.9;
+pub const SAME_WAY: f32 = 0.9;
 /// How far a point may lie beside the tangent plane, as a share of the search radius.
-const BESIDE: f32 = 0.15;
+pub const BESIDE: f32 = 0.15;
+/// Columns along z of 1 × 1 × 5 cells within two cells of one,
+pub const COLUMNS: usize = 25;
+/// and those within one cell, which come first.
+pub const NEAR_COLUMNS: usize = 9;
 
 /// Points by cells of a sparse grid.
-pub(crate) struct Neighbours {
-    /// Edge of a cell and search radius, metres.
-    radius: f32,
-    /// The points, cell by cell, so that a search reads memory in order.
-    entries: Vec<Entry>,
-    cells: HashMap<IVec3, Range<usize>>,
+#[derive(Debug)]
+pub struct Neighbours {
+    /// Edge of a cell, metres.
+    edge: f32,
+    /// The points, cell by cell in order of x, y, z and then of the points' own, so that a column of cells lies together.
+    pub entries: Vec<Entry>,
+    /// Of every cell, where in `entries` each column around it begins and ends.
+    pub spans: Vec<[[u32; 2]; COLUMNS]>,
+    /// Where in `entries` each point is.
+    places: Vec<u32>,
 }
 
-struct Entry {
-    position: Vec3,
-    normal: Vec3,
-    index: u32,
+/// A point as a search needs it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Entry {
+    /// Its place, metres.
+    pub position: [f32; 3],
+    /// Which point it is.
+    pub index: u32,
+    /// Its unit normal.
+    pub normal: [f32; 3],
+    /// Which cell it lies in.
+    pub cell: u32,
 }
 
 impl Neighbours {
-    /// Sorts the points into cells of `radius` metres.
-    pub fn new(points: &[SurfacePoint], radius: f32) -> Self {
-        let entry = |(i, point): (usize, &SurfacePoint)| Entry {
-            position: point.position.into(),
-            normal: point.normal.into(),
-            index: i as u32,
-        };
-        let mut entries: Vec<Entry> = points.iter().enumerate().map(entry).collect();
-        let cell = |entry: &Entry| cell_of(entry.position, radius);
-        entries.sort_by_cached_key(|entry| cell(entry).to_array());
-        let mut cells = HashMap::new();
-        let mut start = 0;
-        for run in entries.chunk_by(|a, b| cell(a) == cell(b)) {
-            cells.insert(cell(&run[0]), start..start + run.len());
-            start += run.len();
+    /// Sorts the points into cells of `edge` metres, for searches of up to twice that radius.
+    pub fn new(points: &[SurfacePoint], edge: f32) -> Self {
+        let cell_at = |i: u32| cell_of(points[i as usize].position.into(), edge).to_array();
+        let mut order: Vec<u32> = (0..points.len() as u32).collect();
+        order.sort_by_cached_key(|&i| cell_at(i));
+        let mut places = vec![0; points.len()];
+        order.iter().zip(0..).for_each(|(&i, place)| places[i as usize] = place);
+
+        let (mut cells, mut starts) = (Vec::new(), Vec::new());
+        let mut entries = Vec::with_capacity(points.len());
+        for (&index, place) in order.iter().zip(0..) {
+            if cells.last() != Some(&cell_at(index)) {
+                cells.push(cell_at(index));
+                starts.push(place);
+            }
+            let SurfacePoint { position, normal, .. } = points[index as usize];
+            entries.push(Entry { position, index, normal, cell: cells.len() as u32 - 1 });
         }
-        Self { radius, entries, cells }
+        starts.push(points.len() as u32);
+        // The first point in that cell or in one after it.
+        let first = |cell: [i32; 3]| starts[cells.partition_point(|other| *other < cell)];
+        let columns = columns();
+        let around = |&[x, y, z]: &[i32; 3]| {
+            columns.map(|[dx, dy]| [first([x + dx, y + dy, z - 2]), first([x + dx, y + dy, z + 3])])
+        };
+        let spans = cells.par_iter().map(around).collect();
+        Self { edge, entries, spans, places }
     }
 
-    /// The points within the radius of `point` on its surface, itself included: index and offset, metres.
-    pub fn of(&self, point: &SurfacePoint) -> impl Iterator<Item = (usize, Vec3)> + '_ {
-        let (position, normal) = (Vec3::from(point.position), Vec3::from(point.normal));
-        let centre = cell_of(position, self.radius);
-        (0..27)
-            .filter_map(move |k| self.cells.get(&(centre + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))))
-            .flat_map(|range| &self.entries[range.clone()])
-            .map(move |entry| (entry, entry.position - position))
+    /// The points within `radius` metres of point `i` on its surface, itself included: index and offset, metres. The radius is
+    /// at most twice the edge of the cells.
+    pub fn of(&self, i: usize, radius: f32) -> impl Iterator<Item = (usize, Vec3)> + '_ {
+        let own = self.entries[self.places[i] as usize];
+        let (position, normal) = (Vec3::from(own.position), Vec3::from(own.normal));
+        let columns = if radius <= self.edge { NEAR_COLUMNS } else { COLUMNS };
+        (self.spans[own.cell as usize][..columns].iter())
+            .flat_map(|&[start, end]| &self.entries[start as usize..end as usize])
+            .map(move |entry| (entry, Vec3::from(entry.position) - position))
             .filter(move |(entry, offset)| {
-                offset.length_squared() < self.radius * self.radius
-                    && offset.dot(normal).abs() < BESIDE * self.radius
-                    && normal.dot(entry.normal) > SAME_WAY
+                offset.length_squared() < radius * radius
+                    && offset.dot(normal).abs() < BESIDE * radius
+                    && normal.dot(entry.normal.into()) > SAME_WAY
             })
             .map(|(entry, offset)| (entry.index as usize, offset))
     }
+
+    /// How many points the columns around any one cell hold at most.
+    pub fn most(&self) -> u64 {
+        let held = |spans: &[[u32; 2]; COLUMNS]| spans.iter().map(|[start, end]| u64::from(end - start)).sum();
+        self.spans.iter().map(held).max().unwrap_or(0)
+    }
+}
+
+/// Where columns are beside their middle one: those within one cell, then those within two.
+fn columns() -> [[i32; 2]; COLUMNS] {
+    let mut columns = std::array::from_fn(|k| [k as i32 % 5 - 2, k as i32 / 5 - 2]);
+    columns.sort_by_key(|[dx, dy]| dx.abs().max(dy.abs()).max(1));
+    columns
 }
 
 /// The cell of a grid of some `edge` (metres) that a place lies in.
 pub(crate) fn cell_of(position: Vec3, edge: f32) -> IVec3 {
     (position / edge).floor().as_ivec3()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{hash2, sobol2};
+
+    #[test]
+    fn a_search_finds_what_looking_at_every_point_finds() {
+        // Two walls and a floor, around the origin and thus in cells of either sign.
+        let point = |i: u32| {
+            let [a, b] = sobol2(i, 3).map(|v| 2.0 * v - 1.0);
+            let (position, normal) = match hash2(i, 1) % 3 {
+                0 => ([a, b, 0.0], [0.0, 0.0, 1.0]),
+                1 => ([a, 0.0, b], [0.0, 1.0, 0.0]),
+                _ => ([0.0, a, b], [1.0, 0.0, 0.0]),
+            };
+            SurfacePoint { position, triangle: 0, normal, sequence: i }
+        };
+        let points: Vec<SurfacePoint> = (0..3000).map(point).collect();
+        let neighbours = Neighbours::new(&points, 0.1);
+        for radius in [0.04, 0.1, 0.13, 0.2] {
+            for i in (0..points.len()).step_by(17) {
+                let [p, n] = [points[i].position, points[i].normal].map(Vec3::from);
+                let near = |j: &usize| {
+                    let offset = Vec3::from(points[*j].position) - p;
+                    let beside = offset.dot(n).abs() < BESIDE * radius;
+                    offset.length_squared() < radius * radius && beside && n.dot(points[*j].normal.into()) > SAME_WAY
+                };
+                let mut found: Vec<usize> = neighbours.of(i, radius).map(|(j, _)| j).collect();
+                found.sort_unstable();
+                assert_eq!(found, (0..points.len()).filter(near).collect::<Vec<_>>(), "{i}, {radius} m");
+                assert!(found.contains(&i));
+            }
+        }
+        assert!((100..3000).contains(&neighbours.most()));
+        assert_eq!(Neighbours::new(&[], 0.1).most(), 0);
+    }
 }

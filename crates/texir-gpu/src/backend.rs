@@ -7,6 +7,7 @@ use texir_core::backend::{
     Sampling, ShadePoint, Shaded,
 };
 use texir_core::camera::Camera;
+use texir_core::denoise::Noisy;
 use texir_core::environment::Environment;
 use texir_core::error::{Error, Result};
 use texir_core::lights::Lights;
@@ -21,7 +22,8 @@ use texir_core::texture::{Footprints, Pyramid};
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
 use crate::pass::{
-    group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp, specular_table, texels,
+    denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
+    specular_table, texels,
 };
 use crate::scene::{Geometry, Hierarchy, Lighting};
 
@@ -136,6 +138,16 @@ impl Backend for GpuBackend<'_> {
         countable(points.len())?;
         let gpu = self.context.gpu.clone();
         gpu.guarded("punctual", || punctual::run(&mut self.context, &self.geometry, points, lights, progress))
+    }
+
+    fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+        let count = noisy.points.len();
+        countable(count)?;
+        sized("first half of denoise", noisy.halves[0].len(), count)?;
+        sized("second half of denoise", noisy.halves[1].len(), count)?;
+        sized("flags of denoise", noisy.apart.len(), count)?;
+        let gpu = self.context.gpu.clone();
+        gpu.guarded("denoise", || denoise::run(&mut self.context, noisy))
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {

@@ -4,10 +4,12 @@ use std::mem::offset_of;
 
 use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, ShadePoint, Shaded};
 use texir_core::lights::LightDensity;
+use texir_core::neighbours::Entry;
 use texir_core::punctual::PunctualLight;
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
 
+use crate::pass::denoise::{DenoiseParams, Estimate};
 use crate::pass::group_loss::GroupLossParams;
 use crate::pass::irradiance::IrradianceParams;
 use crate::pass::lookup::LookupParams;
@@ -67,6 +69,27 @@ fn host_structs_have_the_layout_of_their_wgsl() {
         ("irradiance", "LightGrid", host!(LightGrid { origin, per_metre, size, clusters })),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),
+        ("denoise", "Entry", host!(Entry { position, index, normal, cell })),
+        ("denoise", "Estimate", host!(Estimate { a, apart, b })),
+        (
+            "denoise",
+            "DenoiseParams",
+            host!(DenoiseParams {
+                first,
+                end,
+                texel,
+                radius,
+                guide_radius,
+                noise_radius,
+                miss_radius,
+                tolerance,
+                curvature,
+                ridge,
+                same_way,
+                beside,
+                tiny
+            }),
+        ),
         ("group_loss", "GroupLossParams", host!(GroupLossParams { channels, quantile, jobs, share })),
         (
             "irradiance",

@@ -22,6 +22,7 @@ macro_rules! sources {
 
 /// The sources that the crate was built with.
 pub const SHADERS: Library<'static> = Library(sources![
+    "denoise",
     "group_loss",
     "irradiance",
     "lookup",

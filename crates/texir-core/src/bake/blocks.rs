@@ -17,6 +17,9 @@ use crate::surface::SurfacePoint;
 /// Edge of the cells that space is cut along, as a multiple of how far neighbours reach.
 const CELL: f32 = 4.0;
 
+/// Points of a block, where there is memory for more: some seconds' work on a processor, and arrays that any device binds.
+const MOST: usize = 1 << 21;
+
 /// A partition of the texels.
 pub(super) struct Blocks {
     /// Edge of the cells, metres.
@@ -56,7 +59,7 @@ impl Block {
 impl Blocks {
     /// Cuts space so that no block has more texels than the workspace allows, those within `reach` metres around it included.
     pub fn new(points: &Store<'_, SurfacePoint>, reach: f32, workspace: &Workspace) -> Result<Self> {
-        let (all, most, edge) = (points.len(), workspace.points(), CELL * reach);
+        let (all, most, edge) = (points.len(), most(workspace), CELL * reach);
         if all <= most {
             return Ok(Self { edge, regions: Vec::new(), members: Workspace::Memory.empty()?, all });
         }
@@ -65,7 +68,8 @@ impl Blocks {
             points?.iter().for_each(|p| *counts.entry(cell_of(p.position.into(), edge)).or_default() += 1);
         }
         let mut regions = Vec::new();
-        cut(counts.iter().map(|(cell, count)| (*cell, *count)).collect(), &counts, most, &mut regions)?;
+        let cells = counts.iter().map(|(cell, count)| (*cell, *count)).collect();
+        cut(cells, &counts, [most, workspace.points()], &mut regions)?;
         // By cell, the blocks that may have texels of it.
         let mut near: HashMap<IVec3, Vec<usize>> = HashMap::new();
         for &cell in counts.keys() {
@@ -120,25 +124,32 @@ impl Region {
     }
 }
 
-/// Cuts the box of some cells, with their numbers of texels, in two until all that is in it or in a cell around fits. For now
-/// a region's `len` is that number: no block will have more.
+/// Points that a block should have at most.
+pub(super) fn most(workspace: &Workspace) -> usize {
+    workspace.points().min(MOST)
+}
+
+/// Cuts the box of some cells, with their numbers of texels, in two until all that is in it or in a cell around is at most
+/// `most`, or as far as it can be cut if that is within what is `allowed`. For now a region's `len` is that number: no block
+/// will have more.
 fn cut(
     mut cells: Vec<(IVec3, usize)>,
     counts: &HashMap<IVec3, usize>,
-    most: usize,
+    [most, allowed]: [usize; 2],
     regions: &mut Vec<Region>,
 ) -> Result<()> {
     let bounds = cells.iter().fold([IVec3::MAX, IVec3::MIN], |[low, high], (c, _)| [low.min(*c), high.max(*c)]);
     let around = [bounds[0] - 1, bounds[1] + 1];
     let len = counts.iter().filter(|(cell, _)| contains(around, **cell)).map(|(_, count)| count).sum();
-    if len <= most {
-        regions.push(Region { cells: bounds, start: 0, len });
-        return Ok(());
-    }
     let extent = bounds[1] - bounds[0];
     let axis = (0..3).max_by_key(|&axis| extent[axis]).unwrap_or(0);
-    if extent[axis] == 0 {
-        return Err(too_dense(len, most));
+    let whole = extent[axis] == 0;
+    if whole && len > allowed {
+        return Err(too_dense(len, allowed));
+    }
+    if whole || len <= most {
+        regions.push(Region { cells: bounds, start: 0, len });
+        return Ok(());
     }
     cells.sort_unstable_by_key(|(cell, _)| cell[axis]);
     // In the middle of the texels, between two layers of cells.
@@ -150,8 +161,8 @@ fn cut(
     });
     let middle = middle.map_or(bounds[1][axis], |(cell, _)| cell[axis]).max(bounds[0][axis] + 1);
     let upper = cells.split_off(cells.partition_point(|(cell, _)| cell[axis] < middle));
-    cut(cells, counts, most, regions)?;
-    cut(upper, counts, most, regions)
+    cut(cells, counts, [most, allowed], regions)?;
+    cut(upper, counts, [most, allowed], regions)
 }
 
 fn contains([low, high]: [IVec3; 2], cell: IVec3) -> bool {

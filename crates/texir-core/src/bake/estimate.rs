@@ -21,7 +21,6 @@ use crate::neighbours::Neighbours;
 use crate::progress::Progress;
 use crate::raster::luminance;
 use crate::rng::hash;
-use crate::surface::SurfacePoint;
 
 /// Samples per half and technique in the first round: few enough to be cheap, and with those of the neighbours enough to tell
 /// what the error is.
@@ -116,7 +115,8 @@ impl Estimate {
             let known = self.known(&block.items)?;
             let neighbours = Neighbours::new(points, RADIUS * surface.texel);
             let own = |i: usize| block.owns(&points[i]);
-            let error = |i| known.relative_error(i, points, &neighbours).unwrap_or(known.difference(i));
+            let error =
+                |i| known.relative_error(i, neighbours.of(i, RADIUS * surface.texel)).unwrap_or(known.difference(i));
             let found: Vec<f32> = (0..points.len())
                 .into_par_iter()
                 .filter(|&i| own(i))
@@ -135,7 +135,7 @@ impl Estimate {
             let known = self.known(&block.items)?;
             let neighbours = Neighbours::new(points, RADIUS * surface.texel);
             let open = |i: usize| {
-                let error = || known.relative_error(i, points, &neighbours);
+                let error = || known.relative_error(i, neighbours.of(i, RADIUS * surface.texel));
                 known.rays[i] == most && error().is_none_or(|error| error > target)
             };
             let own = |i: usize| block.owns(&points[i]);
@@ -190,9 +190,9 @@ impl Known<'_> {
 
     /// Standard error of a point's luminance as a share of it, from its neighbours alone; `None` where there are none.
     /// The variance is taken to fall with the number of rays.
-    fn relative_error(&self, i: usize, points: &[SurfacePoint], neighbours: &Neighbours) -> Option<f32> {
+    fn relative_error(&self, i: usize, neighbours: impl Iterator<Item = (usize, Vec3)>) -> Option<f32> {
         let (mut sum, mut count) = (0.0, 0.0);
-        for (j, _) in neighbours.of(&points[i]).filter(|&(j, _)| j != i) {
+        for (j, _) in neighbours.filter(|&(j, _)| j != i) {
             sum += self.difference(j).powi(2) * self.rays[j] as f32;
             count += 1.0;
         }

@@ -12,7 +12,7 @@ use super::tiles::{Tiles, rays_of};
 use super::{Baked, Buried, Denoiser, PADDING, Quality};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
-use crate::denoise::{self, denoise_some};
+use crate::denoise::{self, Noisy};
 use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
@@ -52,9 +52,10 @@ impl Solution {
         self.seen.pieces(PIECE).map(|seen| Ok(seen?.iter().filter(|seen| **seen == 0).count())).sum()
     }
 
-    /// Removes most of the noise, block by block; those of a bake in files are kept.
+    /// Removes most of the noise, block by block; each is kept.
     fn denoise(
         &mut self,
+        backend: &mut dyn Backend,
         surface: &Surface<'_>,
         estimate: &Estimate,
         checkpoints: &Checkpoints,
@@ -70,7 +71,9 @@ impl Solution {
                 let half = |half: &Store<Gathered>| -> Result<Vec<[f32; 3]>> {
                     Ok(half.get(&block.items)?.iter().map(|g| g.irradiance).collect())
                 };
-                Ok(denoise_some(points, &[half(a)?, half(b)?], &buried, texel, own))
+                let noisy = Noisy { points, halves: &[half(a)?, half(b)?], apart: &buried, texel };
+                let clean = backend.denoise(noisy)?.into_iter().enumerate();
+                Ok(clean.filter(|(i, _)| own(*i)).map(|(_, clean)| clean).collect())
             })?;
             self.irradiance.set(&owned, &clean)
         })
@@ -142,7 +145,7 @@ pub(super) fn solve_on(
     let standard_error = quality.error.map(|_| estimate.standard_errors(surface, progress)).transpose()?;
     let mut solution = Solution { irradiance, seen, standard_error, rays: estimate.rays()? };
     if quality.denoise == Some(Denoiser::Regression) {
-        solution.denoise(surface, &estimate, checkpoints, progress)?;
+        solution.denoise(backend, surface, &estimate, checkpoints, progress)?;
     }
     Ok(solution)
 }

@@ -1,6 +1,6 @@
 //! The texels of a bake by where they are in space.
 
-use super::blocks::{Block, Blocks};
+use super::blocks::{self, Block, Blocks};
 use super::texels::Texels;
 use crate::checkpoint::Checkpoints;
 use crate::error::Result;
@@ -51,7 +51,7 @@ impl<'a> Surface<'a> {
         match self.blocks.len() {
             1 => Checkpoints::none(),
             // Other blocks for another budget.
-            _ => checkpoints.within(&format!("blocks-of-{}", self.texels.workspace.points())),
+            _ => checkpoints.within(&format!("blocks-of-{}", blocks::most(&self.texels.workspace))),
         }
     }
 }

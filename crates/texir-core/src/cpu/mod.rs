@@ -2,6 +2,7 @@
 //! they are the oracle that the WGSL is tested against; in `f32` over rayon and obvhs they are [`CpuBackend`].
 
 mod cwbvh;
+pub mod denoise;
 pub mod group_loss;
 pub mod irradiance;
 pub mod light_sampling;
@@ -28,6 +29,7 @@ use crate::backend::{
     Sampling, ShadePoint, Shaded,
 };
 use crate::camera::Camera;
+use crate::denoise::Noisy;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
@@ -153,6 +155,10 @@ impl Backend for CpuBackend<'_> {
             let sum = |sum, light| sum + punctual::punctual::<f32>(self.scene, light, point);
             lights.iter().fold(V3::zero(), sum).to_f32()
         })
+    }
+
+    fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+        Ok(denoise::denoise(noisy))
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {

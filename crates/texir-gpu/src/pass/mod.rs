@@ -1,6 +1,7 @@
 //! The host side of every shader: one file per stem. A pass uploads, records, and reads back; when to wait is
 //! [`crate::batch`]'s matter.
 
+pub(crate) mod denoise;
 pub(crate) mod group_loss;
 pub(crate) mod irradiance;
 pub(crate) mod lookup;

@@ -1,0 +1,101 @@
+//! Host side of `denoise.wgsl`.
+
+use bytemuck::{Pod, Zeroable};
+use texir_core::cpu;
+use texir_core::denoise::{CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, TOLERANCE};
+use texir_core::error::Result;
+use texir_core::neighbours::{BESIDE, Entry, Neighbours, SAME_WAY};
+
+use super::WORKGROUP;
+use crate::batch::Context;
+
+/// The passes, and about how many rays' time one takes of a point.
+const PASSES: [(&str, u32); 4] = [("smooth_halves", 4), ("measure_noise", 4), ("regress", 16), ("clean", 4)];
+
+/// Points that a thread may look at: software drivers silently end it after 65,535 iterations of all its loops.
+const MOST_LOOKED_AT: u64 = 65_000;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct DenoiseParams {
+    pub first: u32,
+    pub end: u32,
+    pub texel: f32,
+    pub radius: f32,
+    pub guide_radius: f32,
+    pub noise_radius: f32,
+    pub miss_radius: f32,
+    pub tolerance: f32,
+    pub curvature: f32,
+    pub ridge: f32,
+    pub same_way: f32,
+    pub beside: f32,
+    pub tiny: f32,
+}
+
+/// Both halves of what was gathered at a point.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Estimate {
+    pub a: [f32; 3],
+    pub apart: u32,
+    pub b: [f32; 3],
+    pub pad: u32,
+}
+
+/// See [`texir_core::backend::Backend::denoise`].
+pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+    let count = noisy.points.len();
+    let neighbours = Neighbours::new(noisy.points, CELL * noisy.texel);
+    if count == 0 || neighbours.most() > MOST_LOOKED_AT {
+        return Ok(cpu::denoise::denoise(noisy));
+    }
+    let Neighbours { entries, spans, .. } = &neighbours;
+    let estimate = |entry: &Entry| {
+        let i = entry.index as usize;
+        Estimate { a: noisy.halves[0][i], apart: u32::from(noisy.apart[i]), b: noisy.halves[1][i], pad: 0 }
+    };
+    let estimates: Vec<Estimate> = entries.iter().map(estimate).collect();
+    let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
+    let on_device = [
+        ("entries", pool.upload(gpu, "denoise entries", entries)?),
+        ("spans", pool.upload(gpu, "denoise spans", spans)?),
+        ("estimates", pool.upload(gpu, "denoise estimates", &estimates)?),
+        ("smoothed", pool.reserve(gpu, "denoise smoothed", 32 * count as u64)?),
+        ("noise", pool.reserve(gpu, "denoise noise", 8 * count as u64)?),
+        ("fits", pool.reserve(gpu, "denoise fits", 32 * count as u64)?),
+        ("cleaned", pool.reserve(gpu, "denoise cleaned", 16 * count as u64)?),
+    ];
+    for (entry, cost) in PASSES {
+        let kernel = ctx.kernel("denoise", entry, None)?;
+        let mut first = 0;
+        while first < count {
+            let end = count.min(first + ctx.batch(cost, size_of::<Entry>()));
+            let params = ctx.params(&DenoiseParams {
+                first: first as u32,
+                end: end as u32,
+                texel: noisy.texel,
+                radius: RADIUS,
+                guide_radius: GUIDE_RADIUS,
+                noise_radius: NOISE_RADIUS,
+                miss_radius: MISS_RADIUS,
+                tolerance: TOLERANCE,
+                curvature: CURVATURE,
+                ridge: RIDGE,
+                same_way: SAME_WAY,
+                beside: BESIDE,
+                tiny: f32::MIN_POSITIVE,
+            });
+            let mut resources = vec![("params", params.binding())];
+            resources.extend(on_device.iter().map(|(name, view)| (*name, view.binding())));
+            let groups = kernel.bind(&ctx.gpu, &resources)?;
+            let rays = u64::from(cost) * (end - first) as u64;
+            ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, (end - first).div_ceil(WORKGROUP)))?;
+            first = end;
+        }
+    }
+    let cleaned = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &on_device[6].1, count)?;
+    let mut out = vec![[0.0; 3]; count];
+    entries.iter().zip(cleaned).for_each(|(entry, [r, g, b, _])| out[entry.index as usize] = [r, g, b]);
+    Ok(out)
+}

@@ -1,0 +1,324 @@
+// Denoising of irradiance by local regression, guided by two independent estimates of every point (the twin's module says how and
+// whence). Four passes: `smooth`, `measure` (noise), `regress`, `clean`.
+//
+// In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the cells that
+// they are searched in. Per point, `smooth`, `measure` and `clean` read about 150 others (32 bytes, and what those that are near
+// enough hold), `regress` some 400, of which about 200 enter its 6 × 6 systems, one for each half.
+
+#import math
+#import sampling
+
+// A point where neighbours are searched.
+struct Entry {
+    position: vec3f,
+    // Where it is in the host's arrays, which nothing here needs.
+    index: u32,
+    normal: vec3f,
+    cell: u32,
+}
+
+// Both halves of what was gathered at a point.
+struct Estimate {
+    a: vec3f,
+    // Points of different flags are not mixed.
+    apart: u32,
+    b: vec3f,
+    pad: u32,
+}
+
+// What a point's closest neighbours tell about it.
+struct Smoothed {
+    a: vec3f,
+    // Variance of what is smoothed as a share of a point's.
+    share: f32,
+    b: vec3f,
+    // Square of the point's value.
+    level: f32,
+}
+
+// The noise at a point.
+struct Noise {
+    // Mean square of the difference of both halves, relative to the squared value.
+    relative: f32,
+    // Variance of the difference between two smoothed estimates of the same half that is due to noise.
+    smoothed: f32,
+}
+
+// The regression of each half.
+struct Fitted {
+    a: vec3f,
+    pad0: u32,
+    b: vec3f,
+    pad1: u32,
+}
+
+struct DenoiseParams {
+    // Points of this dispatch: [first, end).
+    first: u32,
+    end: u32,
+    // Edge of a typical texel, metres.
+    texel: f32,
+    // The twin's constants; radii in texels.
+    radius: f32,
+    guide_radius: f32,
+    noise_radius: f32,
+    miss_radius: f32,
+    tolerance: f32,
+    curvature: f32,
+    ridge: f32,
+    same_way: f32,
+    beside: f32,
+    // The smallest variance and squared value that is divided by.
+    tiny: f32,
+}
+
+// Columns of cells around one: within one cell, and within two.
+const NEAR_COLUMNS: u32 = 9u;
+const COLUMNS: u32 = 25u;
+
+@group(1) @binding(0) var<uniform> params: DenoiseParams;
+@group(1) @binding(1) var<storage, read> entries: array<Entry>;
+// Of every cell, COLUMNS ranges of `entries`.
+@group(1) @binding(2) var<storage, read> spans: array<vec2u>;
+@group(1) @binding(3) var<storage, read> estimates: array<Estimate>;
+@group(1) @binding(4) var<storage, read_write> smoothed: array<Smoothed>;
+@group(1) @binding(5) var<storage, read_write> noise: array<Noise>;
+@group(1) @binding(6) var<storage, read_write> fits: array<Fitted>;
+@group(1) @binding(7) var<storage, read_write> cleaned: array<vec4f>;
+
+fn owned_point(lane: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
+    return params.first + linear_workgroup(workgroup, workgroups) * 64u + lane;
+}
+
+// Offset of another point in shares of a search radius (metres), and 1 less its square: how near it is; negative where it is
+// too far or on another surface.
+fn nearness(own: Entry, other: Entry, radius: f32) -> vec4f {
+    let offset = other.position - own.position;
+    let same_surface = abs(dot(offset, own.normal)) < params.beside * radius
+        && dot(own.normal, other.normal) > params.same_way
+        && dot(offset, offset) < radius * radius;
+    let at = offset / radius;
+    return vec4f(at, select(-1.0, max(1.0 - dot(at, at), 0.0), same_surface));
+}
+
+fn square(v: vec3f) -> f32 {
+    return dot(v, v);
+}
+
+@compute @workgroup_size(64)
+fn smooth_halves(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let i = owned_point(lane, workgroup, workgroups);
+    if i >= params.end {
+        return;
+    }
+    let own = entries[i];
+    let estimate = estimates[i];
+    var a = vec3f(0.0);
+    var b = vec3f(0.0);
+    var weight = 0.0;
+    var squares = 0.0;
+    for (var column = 0u; column < NEAR_COLUMNS; column++) {
+        let span = spans[own.cell * COLUMNS + column];
+        for (var j = span.x; j < span.y; j++) {
+            let near = nearness(own, entries[j], params.guide_radius * params.texel).w;
+            let other = estimates[j];
+            if near < 0.0 || other.apart != estimate.apart {
+                continue;
+            }
+            a += near * other.a;
+            b += near * other.b;
+            weight += near;
+            squares += near * near;
+        }
+    }
+    a /= weight;
+    b /= weight;
+    // The point's own value beside what is brighter, the smoothed one where it is bright by chance.
+    let level = min(square((a + b) * 0.5), square((estimate.a + estimate.b) * 0.5));
+    smoothed[i] = Smoothed(a, squares / (weight * weight), b, max(level, params.tiny));
+}
+
+@compute @workgroup_size(64)
+fn measure_noise(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let i = owned_point(lane, workgroup, workgroups);
+    if i >= params.end {
+        return;
+    }
+    let own = entries[i];
+    let apart = estimates[i].apart;
+    var sum = 0.0;
+    var weight = 0.0;
+    for (var column = 0u; column < NEAR_COLUMNS; column++) {
+        let span = spans[own.cell * COLUMNS + column];
+        for (var j = span.x; j < span.y; j++) {
+            let near = nearness(own, entries[j], params.noise_radius * params.texel).w;
+            let other = estimates[j];
+            if near < 0.0 || other.apart != apart {
+                continue;
+            }
+            // (a − b)² estimates the variance of a − b; relative to the value, it is alike in light and in shadow.
+            sum += near * square(other.a - other.b) / smoothed[j].level;
+            weight += near;
+        }
+    }
+    let relative = sum / weight;
+    noise[i] = Noise(relative, max(relative * smoothed[i].level * smoothed[i].share, params.tiny));
+}
+
+// Weighted least squares of value = c + g·at + atᵀH at, with the terms (1, x, y, x²; xy, y²).
+struct Fit {
+    // Σ w m of the monomials m: (1, x, y, x²), (xy, y², x³, x²y), (xy², y³, x⁴, x³y), (x²y², xy³, y⁴, 0).
+    moments: mat4x4f,
+    // Σ w term value, by channel: the first four terms, and the last two.
+    first: mat3x4f,
+    last: mat3x2f,
+}
+
+fn add_to(fit: Fit, weight: f32, monomials: mat4x4f, value: vec3f) -> Fit {
+    let terms = weight * monomials[0];
+    let more = weight * monomials[1].xy;
+    return Fit(
+        fit.moments + weight * monomials,
+        fit.first + mat3x4f(terms * value.x, terms * value.y, terms * value.z),
+        fit.last + mat3x2f(more * value.x, more * value.y, more * value.z),
+    );
+}
+
+// The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where extrapolation makes
+// it negative; what the point has itself without weight.
+fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
+    let m = fit.moments;
+    let weight = m[0].x;
+    let ridge = params.ridge * weight;
+    // The normal equations, lower triangle row by row, with the right-hand sides of the channels beside them.
+    var a = array<array<f32, 6>, 6>(
+        array<f32, 6>(weight, 0.0, 0.0, 0.0, 0.0, 0.0),
+        array<f32, 6>(m[0].y, m[0].w + ridge, 0.0, 0.0, 0.0, 0.0),
+        array<f32, 6>(m[0].z, m[1].x, m[1].y + ridge, 0.0, 0.0, 0.0),
+        array<f32, 6>(m[0].w, m[1].z, m[1].w, m[2].z + ridge + curved, 0.0, 0.0),
+        array<f32, 6>(m[1].x, m[1].w, m[2].x, m[2].w, m[3].x + ridge + curved, 0.0),
+        array<f32, 6>(m[1].y, m[2].x, m[2].y, m[3].x, m[3].y, m[3].z + ridge + curved),
+    );
+    var b = array<vec3f, 6>(
+        vec3f(fit.first[0].x, fit.first[1].x, fit.first[2].x),
+        vec3f(fit.first[0].y, fit.first[1].y, fit.first[2].y),
+        vec3f(fit.first[0].z, fit.first[1].z, fit.first[2].z),
+        vec3f(fit.first[0].w, fit.first[1].w, fit.first[2].w),
+        vec3f(fit.last[0].x, fit.last[1].x, fit.last[2].x),
+        vec3f(fit.last[0].y, fit.last[1].y, fit.last[2].y),
+    );
+    if !(weight > 0.0) {
+        return own;
+    }
+    let mean = b[0] / weight;
+    // Gaussian elimination from the last unknown to the first, of which alone the solution is wanted: A stays symmetric.
+    var solvable = true;
+    for (var k = 5; k > 0; k--) {
+        let pivot = a[k][k];
+        solvable = solvable && pivot > 0.0;
+        for (var r = 0; r < k; r++) {
+            let share = a[k][r] / pivot;
+            for (var c = 0; c <= r; c++) {
+                a[r][c] -= share * a[k][c];
+            }
+            b[r] -= share * b[k];
+        }
+    }
+    let fitted = b[0] / a[0][0];
+    let plausible = solvable && a[0][0] > 0.0 && all(fitted >= vec3f(0.0));
+    return select(mean, fitted, plausible);
+}
+
+@compute @workgroup_size(64)
+fn regress(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let i = owned_point(lane, workgroup, workgroups);
+    if i >= params.end {
+        return;
+    }
+    let own = entries[i];
+    let estimate = estimates[i];
+    let guide = smoothed[i];
+    let own_noise = noise[i];
+    let frame = frame_of(own.normal);
+    var a: Fit;
+    var b: Fit;
+    for (var column = 0u; column < COLUMNS; column++) {
+        let span = spans[own.cell * COLUMNS + column];
+        for (var j = span.x; j < span.y; j++) {
+            let near = nearness(own, entries[j], params.radius * params.texel);
+            let other = estimates[j];
+            if near.w < 0.0 || other.apart != estimate.apart {
+                continue;
+            }
+            let x = dot(near.xyz, frame.tangent);
+            let y = dot(near.xyz, frame.bitangent);
+            let monomials = mat4x4f(
+                vec4f(1.0, x, y, x * x),
+                vec4f(x * y, y * y, x * x * x, x * x * y),
+                vec4f(x * y * y, y * y * y, x * x * x * x, x * x * x * y),
+                vec4f(x * x * y * y, x * y * y * y, y * y * y * y, 0.0),
+            );
+            // A half's weights are the other half's, so that a point's noise does not choose its own neighbours.
+            let guide_there = smoothed[j];
+            let differences = vec2f(square(guide.b - guide_there.b), square(guide.a - guide_there.a));
+            let beyond = max(differences - own_noise.smoothed, vec2f(0.0));
+            let alike = 1.0 + beyond / (own_noise.smoothed * params.tolerance * params.tolerance);
+            let weights = near.w * near.w / (alike * alike);
+            a = add_to(a, weights.x, monomials, other.a);
+            b = add_to(b, weights.y, monomials, other.b);
+        }
+    }
+    // A half's variance over that of the coefficients before anything is seen.
+    let curved = own_noise.relative / (2.0 * params.curvature * params.curvature);
+    fits[i] = Fitted(centre(a, curved, estimate.a), 0u, centre(b, curved, estimate.b), 0u);
+}
+
+@compute @workgroup_size(64)
+fn clean(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let i = owned_point(lane, workgroup, workgroups);
+    if i >= params.end {
+        return;
+    }
+    let own = entries[i];
+    let estimate = estimates[i];
+    // Of what is beyond the fits, relative to them: what both halves share, and the variance of their mean.
+    var shared_part = 0.0;
+    var variance = 0.0;
+    for (var column = 0u; column < NEAR_COLUMNS; column++) {
+        let span = spans[own.cell * COLUMNS + column];
+        for (var j = span.x; j < span.y; j++) {
+            let near = nearness(own, entries[j], params.miss_radius * params.texel).w;
+            let other = estimates[j];
+            if near < 0.0 || other.apart != estimate.apart {
+                continue;
+            }
+            let fit = fits[j];
+            let a = other.a - fit.a;
+            let b = other.b - fit.b;
+            let level = max(square(fit.a + fit.b), params.tiny);
+            shared_part += near * dot(a, b) / level;
+            variance += near * square(a - b) / (4.0 * level);
+        }
+    }
+    // Wiener's weight; halves that agree by chance share about as much as their noise.
+    let signal = max(shared_part - variance, 0.0);
+    let kept = select(0.0, signal / (signal + variance), signal > 0.0);
+    let fit = (fits[i].a + fits[i].b) * 0.5;
+    cleaned[i] = vec4f(fit + ((estimate.a + estimate.b) * 0.5 - fit) * kept, 0.0);
+}
