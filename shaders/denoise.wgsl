@@ -125,10 +125,10 @@ fn smooth_halves(
         let span = spans[own.cell * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.guide_radius * params.texel).w;
-            let other = estimates[j];
-            if near < 0.0 || other.apart != estimate.apart {
+            if near < 0.0 || estimates[j].apart != estimate.apart {
                 continue;
             }
+            let other = estimates[j];
             a += near * other.a;
             b += near * other.b;
             weight += near;
@@ -160,10 +160,10 @@ fn measure_noise(
         let span = spans[own.cell * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.noise_radius * params.texel).w;
-            let other = estimates[j];
-            if near < 0.0 || other.apart != apart {
+            if near < 0.0 || estimates[j].apart != apart {
                 continue;
             }
+            let other = estimates[j];
             // (a − b)² estimates the variance of a − b; relative to the value, it is alike in light and in shadow.
             sum += near * square(other.a - other.b) / smoothed[j].level;
             weight += near;
@@ -258,10 +258,10 @@ fn regress(
         let span = spans[own.cell * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.radius * params.texel);
-            let other = estimates[j];
-            if near.w < 0.0 || other.apart != estimate.apart {
+            if near.w < 0.0 || estimates[j].apart != estimate.apart {
                 continue;
             }
+            let other = estimates[j];
             let x = dot(near.xyz, frame.tangent);
             let y = dot(near.xyz, frame.bitangent);
             let monomials = mat4x4f(
@@ -304,10 +304,10 @@ fn clean(
         let span = spans[own.cell * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.miss_radius * params.texel).w;
-            let other = estimates[j];
-            if near < 0.0 || other.apart != estimate.apart {
+            if near < 0.0 || estimates[j].apart != estimate.apart {
                 continue;
             }
+            let other = estimates[j];
             let fit = fits[j];
             let a = other.a - fit.a;
             let b = other.b - fit.b;

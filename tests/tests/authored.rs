@@ -6,9 +6,9 @@ use std::f64::consts::PI;
 use glam::{Mat4, Vec2, Vec3};
 use serde_json::json;
 use texir_core::atlas::Atlas;
-use texir_core::authored::{Bounces, Model, Solved, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
+use texir_core::authored::{Bounces, Model, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
-use texir_core::bake::{Denoiser, Quality};
+use texir_core::bake::{Baked, Denoiser, Quality, Texels};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::cosine_direction;
@@ -29,8 +29,17 @@ use texir_tests::{gpu, scenes};
 const QUALITY: Quality = Quality { gather: Gather::new(32, 32, 3), error: None, denoise: Some(Denoiser::Regression) };
 const BOUNCES: Bounces = Bounces { quality: QUALITY, tolerance: 1e-3, most: 64 };
 
-fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Solved {
-    irradiance(backend, scene, atlas, surfaces, bounces, &Checkpoints::none(), &Silent).unwrap()
+/// What was solved, in memory.
+struct Lit {
+    baked: Baked,
+    series: Vec<f64>,
+    remainder: f64,
+}
+
+fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Lit {
+    let (texels, none) = (Texels::of(atlas), Checkpoints::none());
+    let solved = irradiance(backend, scene, &texels, surfaces, bounces, &none, &Silent).unwrap();
+    Lit { baked: solved.solution.into_baked().unwrap(), series: solved.series, remainder: solved.remainder }
 }
 
 #[test]
@@ -57,7 +66,7 @@ fn a_closed_box_is_a_furnace_bounce_by_bounce() {
                 PI * f64::from(emission[c]) * powers.sum::<f64>()
             })
         };
-        let lanes = |solved: &Solved| -> Vec<f64> {
+        let lanes = |solved: &Lit| -> Vec<f64> {
             (solved.baked.irradiance.iter().zip(&atlas.inside))
                 .filter(|(_, inside)| **inside)
                 .flat_map(|(e, _)| e.map(f64::from))
@@ -216,7 +225,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let scene = Scene::new(model.mesh.clone()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
-    let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
+    let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     let gather = Gather::new(48, 48, 1);
     let bounces = Bounces { quality: Quality { gather, denoise: None, ..QUALITY }, ..BOUNCES };
     let solved = solve(&mut backend, &scene, &atlas, &surfaces, &bounces);
@@ -246,8 +255,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
         assert!(median < 0.04, "channel {c}: the median error is {median}");
     }
     // Texels are 5 cm wide: a denoiser that flattens what is curved over ten of them takes light at every bounce.
-    let light =
-        |solved: &Solved| (0..atlas.texels.len()).filter(fair).map(|i| solved.baked.irradiance[i][1]).sum::<f32>();
+    let light = |solved: &Lit| (0..atlas.texels.len()).filter(fair).map(|i| solved.baked.irradiance[i][1]).sum::<f32>();
     let kept = light(&denoised) / light(&solved);
     assert!((kept - 1.0).abs() < 0.01, "denoising keeps {kept} of the light");
     // Negative control: without the bounces it is darker by far more than the tolerance.
@@ -274,7 +282,7 @@ fn square(material: serde_json::Value, image: Option<(usize, usize, Vec<[u8; 3]>
     let scene = Scene::new(model.mesh.clone()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, 16, 16).unwrap();
-    model.surfaces(&mut backend, &atlas, None).unwrap()
+    model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap()
 }
 
 #[test]
@@ -310,7 +318,7 @@ fn a_point_light_above_a_plane_follows_the_square_law() {
     let scene = Scene::new(model.mesh.clone()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, 65, 65).unwrap();
-    let surfaces = model.surfaces(&mut backend, &atlas, None).unwrap();
+    let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     let solved = solve(&mut backend, &scene, &atlas, &surfaces, &BOUNCES);
     let law = |p: &SurfacePoint| {
         let way = Vec3::new(2.0, 2.0, 2.0) - Vec3::from(p.position);
@@ -406,12 +414,13 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     let scene = Scene::new(model.mesh.clone()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     let atlas = Atlas::new(&mut backend, &scene, 16, 16).unwrap();
-    let good = model.surfaces(&mut backend, &atlas, None).unwrap();
+    let good = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     assert!(good.is_dark());
     let refuse = |surfaces: Surfaces, word: &str| {
         let mut backend = CpuBackend::new(&scene);
         let error =
-            irradiance(&mut backend, &scene, &atlas, &surfaces, &BOUNCES, &Checkpoints::none(), &Silent).unwrap_err();
+            irradiance(&mut backend, &scene, &Texels::of(&atlas), &surfaces, &BOUNCES, &Checkpoints::none(), &Silent)
+                .unwrap_err();
         assert!(error.to_string().contains(word), "{error}");
     };
     refuse(Surfaces { albedo: Rgb::filled(8, 8, [0.5; 3]), ..good.clone() }, "16×16");

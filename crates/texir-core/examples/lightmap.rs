@@ -3,10 +3,9 @@
 //! `cargo run --release -p texir-core --example lightmap` writes `lightmap.exr`.
 
 use glam::{Vec2, Vec3};
-use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Surfaces, irradiance};
 use texir_core::backend::Gather;
-use texir_core::bake::{Buried, Denoiser, Quality};
+use texir_core::bake::{Buried, Denoiser, Quality, Texels, Workspace};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::environment::Environment;
@@ -26,7 +25,7 @@ fn main() -> texir_core::error::Result<()> {
     add_square(&mut mesh, 1.5, 0.5, Vec3::NEG_Y, 0.52);
     let scene = Scene::new(mesh)?;
     let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, SIZE, SIZE)?;
+    let texels = Texels::map(&mut backend, &scene, [SIZE; 2], Workspace::Memory, &Silent)?;
 
     let is_lamp = |i: usize| i % SIZE >= SIZE / 2;
     let by_texel = |floor: [f32; 3], lamp: [f32; 3]| {
@@ -44,9 +43,9 @@ fn main() -> texir_core::error::Result<()> {
         tolerance: 0.005,
         most: 64,
     };
-    let solved = irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
+    let solved = irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
     println!("mean irradiance by bounce, lux: {:.1?}", solved.series);
-    write_rgb("lightmap.exr", &solved.baked.map(&atlas, Buried::Fill))
+    write_rgb("lightmap.exr", &solved.solution.map(&texels, Buried::Fill)?)
 }
 
 /// A square of half-width `half` at `height`, facing `normal`, at column `u` of the lightmap.

@@ -17,7 +17,7 @@ use crate::texture::{Pyramid, Tap};
 const OFF_EDGE: f32 = 1e-3;
 
 /// Texels that are mapped at a time.
-const BAND: usize = 1 << 19;
+pub(crate) const BAND: usize = 1 << 19;
 
 /// The texel map of a mesh: the valid texels of a `width × height` atlas and their surface points, in atlas order.
 #[derive(Clone, Debug)]

@@ -62,7 +62,7 @@ pub struct Bake {
     #[arg(long)]
     fill_buried: bool,
     /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the output, to
-    /// the same bits. An authored scene's bounces are kept in memory: what does not fit is refused [default: all that the map needs]
+    /// the same bits [default: all that the map needs]
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
     /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]

@@ -14,9 +14,9 @@ use rayon::prelude::*;
 
 use super::Surfaces;
 use super::texture::{Colour, Texture, decoded};
-use crate::atlas::Atlas;
+use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
-use crate::bake::PADDING;
+use crate::bake::{PADDING, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
@@ -24,7 +24,7 @@ use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::surface::Hit;
+use crate::surface::{Hit, SurfacePoint};
 
 /// Points per texel and axis at which materials are looked up: images are finer than lightmaps.
 const LOOKUPS: usize = 2;
@@ -118,30 +118,38 @@ impl Model {
     pub fn surfaces(
         &self,
         backend: &mut dyn Backend,
-        atlas: &Atlas,
+        texels: &Texels<'_>,
         environment: Option<Environment>,
     ) -> Result<Surfaces> {
-        let columns = LOOKUPS * atlas.width;
-        let rows = LOOKUPS * atlas.height;
-        let hits = backend.texels([columns, rows], 0..rows)?;
+        let [width, height] = texels.size();
+        let columns = LOOKUPS * width;
         let materials = self.materials();
-        let texel = |&texel: &u32| {
-            let (x, y) = (texel as usize % atlas.width, texel as usize / atlas.width);
-            let points =
-                (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
-            let found: Vec<&Hit> = points.map(|i| &hits[i]).filter(|hit| hit.is_hit()).collect();
-            let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
-                let at = self.at(hit, materials[hit.triangle as usize]);
-                [sum[0] + at[0], sum[1] + at[1]]
-            });
-            sum.map(|sum| (sum / found.len().max(1) as f32).to_array())
-        };
-        let texels: Vec<[[f32; 3]; 2]> = atlas.texels.par_iter().map(texel).collect();
-        let map = |which: usize| -> Rgb {
-            let values: Vec<[f32; 3]> = texels.iter().map(|t| t[which]).collect();
-            atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING)
-        };
-        Ok(Surfaces { albedo: map(0), emission: map(1), lights: self.lights.clone(), environment })
+        let [mut albedo, mut emission] = [(); 2].map(|()| Rgb::filled(width, height, [0.0; 3]));
+        let mut filled = vec![false; width * height];
+        for rows in bands(width, height, BAND / (LOOKUPS * LOOKUPS)) {
+            let hits = backend.texels([columns, LOOKUPS * height], LOOKUPS * rows.start..LOOKUPS * rows.end)?;
+            let texel = |point: &SurfacePoint| {
+                let (x, y) = (point.sequence as usize % width, point.sequence as usize / width - rows.start);
+                let points =
+                    (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
+                let found: Vec<&Hit> = points.map(|i| &hits[i]).filter(|hit| hit.is_hit()).collect();
+                let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
+                    let at = self.at(hit, materials[hit.triangle as usize]);
+                    [sum[0] + at[0], sum[1] + at[1]]
+                });
+                sum.map(|sum| (sum / found.len().max(1) as f32).to_array())
+            };
+            let points = texels.points_in(rows.clone())?;
+            let values: Vec<[[f32; 3]; 2]> = points.par_iter().map(texel).collect();
+            for (point, value) in points.iter().zip(values) {
+                let i = point.sequence as usize;
+                [albedo.data[i], emission.data[i]] = value;
+                filled[i] = true;
+            }
+        }
+        atlas::pad(&mut albedo, &mut filled.clone(), PADDING);
+        atlas::pad(&mut emission, &mut filled, PADDING);
+        Ok(Surfaces { albedo, emission, lights: self.lights.clone(), environment })
     }
 
     /// Per triangle of the mesh: the place in `shading`, and the part with its first vertex.

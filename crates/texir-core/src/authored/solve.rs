@@ -2,15 +2,17 @@
 //! what the surfaces make of E_k, TBL_{k+1} = albedo/π · E_k.
 
 use std::f32::consts::PI;
+use std::ops::Range;
 
 use super::Surfaces;
-use crate::atlas::Atlas;
+use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather};
-use crate::bake::{self, Baked, PADDING, Quality};
+use crate::bake::{self, Quality, Solution, Texels};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
-use crate::lights::Lights;
+use crate::lights::Finder;
 use crate::progress::Progress;
+use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::rng::hash2;
 use crate::scene::Scene;
@@ -31,85 +33,77 @@ pub struct Bounces {
 }
 
 /// Irradiance with its bounces.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 pub struct Solved {
-    /// E in full per valid texel of the atlas: direct and indirect, from surfaces, punctual lights and environment.
-    pub baked: Baked,
+    /// E in full per valid texel: direct and indirect, from surfaces, punctual lights and environment.
+    pub solution: Solution,
     /// Mean of E_k over texels and channels, k = 0 the direct light.
     pub series: Vec<f64>,
     /// Estimated share of all light that the bounces left out would add.
     pub remainder: f64,
 }
 
-/// Solves the light of a scene at the texels of `atlas`, whose size the maps of `surfaces` have.
+/// Solves the light of a scene at `texels`, of a map whose size the maps of `surfaces` have.
 ///
 /// Replaces the backend's TBL and environment. With `checkpoints` of the same [`Surfaces::identity`], a bake that was
 /// interrupted goes on where it was, to the same bits.
 pub fn irradiance(
     backend: &mut dyn Backend,
     scene: &Scene,
-    atlas: &Atlas,
+    texels: &Texels<'_>,
     surfaces: &Surfaces,
     bounces: &Bounces,
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solved> {
-    check(atlas, surfaces)?;
-    let mut solver = Solver { backend, scene, atlas, bounces, checkpoints, rays: 0, progress };
+    check(texels, surfaces)?;
+    let mut solver = Solver { backend, scene, texels, bounces, checkpoints, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
-    let punctual = solver.punctual(surfaces)?;
-    let Baked { irradiance: mut total, buried, standard_error, .. } = solver.gather(&surfaces.emission, 0, 1.0)?;
-    let mut standard_error = standard_error;
-    add(&mut total, &punctual);
+    let mut last = solver.gather(&surfaces.emission, 0, 1.0)?;
+    solver.add_punctual(&mut last, &surfaces.lights)?;
     // The sky lights once; what surfaces make of it bounces.
     solver.backend.set_environment(None)?;
 
-    let mut last = total.clone();
-    let mut series = vec![mean(&last, &buried)];
+    let mut total = last.copy(texels)?;
+    let mut series = vec![last.mean(texels, &total)?];
     let mut remainder = remainder_of(&series);
     for k in 1..=bounces.most {
         if remainder <= f64::from(bounces.tolerance) {
             break;
         }
         let share = series.last().copied().unwrap_or(0.0) / series[0];
-        let reflected = reflected(&surfaces.albedo, &atlas.scatter_padded(&last, &visible(&buried), [0.0; 3], PADDING));
-        let bounce = solver.gather(&reflected, k, share)?;
-        last = bounce.irradiance;
-        add(&mut total, &last);
-        for (sum, error) in standard_error.iter_mut().flatten().zip(bounce.standard_error.iter().flatten()) {
-            *sum = sum.hypot(*error);
-        }
-        series.push(mean(&last, &buried));
+        let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
+        last = solver.gather(&sent, k, share)?;
+        total.add(texels, &last)?;
+        series.push(last.mean(texels, &total)?);
         remainder = remainder_of(&series);
     }
-    let baked = Baked { irradiance: total, buried, standard_error, rays: solver.rays };
-    Ok(Solved { baked, series, remainder })
+    Ok(Solved { solution: total, series, remainder })
 }
 
 struct Solver<'a> {
     backend: &'a mut dyn Backend,
     scene: &'a Scene,
-    atlas: &'a Atlas,
+    texels: &'a Texels<'a>,
     bounces: &'a Bounces,
     checkpoints: &'a Checkpoints,
-    rays: u64,
     progress: &'a dyn Progress,
 }
 
 impl Solver<'_> {
-    /// E from the punctual lights.
-    fn punctual(&mut self, surfaces: &Surfaces) -> Result<Vec<[f32; 3]>> {
-        let rays = self.atlas.points.len() as u64 * surfaces.lights.len() as u64;
-        self.rays += rays;
+    /// Adds E from the punctual lights.
+    fn add_punctual(&mut self, direct: &mut Solution, lights: &[PunctualLight]) -> Result<()> {
+        let rays = self.texels.valid() as u64 * lights.len() as u64;
+        direct.rays += rays;
         self.progress.start("punctual lights", rays, "rays");
-        let irradiance = self.backend.punctual(&self.atlas.points, &surfaces.lights, self.progress)?;
+        direct.add_exact(self.texels, |points| self.backend.punctual(points, lights, self.progress))?;
         self.progress.finish();
-        Ok(irradiance)
+        Ok(())
     }
 
     /// E from surfaces of radiance `tbl` with a `share` of the rays; `bounce` draws other samples.
-    fn gather(&mut self, tbl: &Rgb, bounce: u32, share: f64) -> Result<Baked> {
+    fn gather(&mut self, tbl: &Rgb, bounce: u32, share: f64) -> Result<Solution> {
         // Two, of which errors are told, unless it was one from the start.
         let scaled = |n: u32| ((f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32).max(n.min(2));
         let Quality { gather: Gather { cosine, light, seed, .. }, error, denoise } = self.bounces.quality;
@@ -117,36 +111,23 @@ impl Solver<'_> {
         // Variance in proportion to the light that a bounce brings: that of the sum is then at most `error` squared.
         let error = error.map(|error| error / share.clamp(f64::MIN_POSITIVE, 1.0).sqrt() as f32);
         let quality = Quality { gather, error, denoise };
-        self.backend.set_tbl(tbl, &Lights::find(self.scene, self.atlas, tbl))?;
+        let mut lights = Finder::new(self.scene, tbl, self.texels.valid());
+        self.texels.points().try_for_each(|points| points.map(|points| lights.take(&points)))?;
+        self.backend.set_tbl(tbl, &lights.find())?;
         let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
-        let baked = bake::bake(self.backend, &self.scene.mesh, self.atlas, &quality, &checkpoints, self.progress)?;
-        self.rays += baked.rays;
-        Ok(baked)
+        bake::solve(self.backend, &self.scene.mesh, self.texels, &quality, &checkpoints, self.progress)
     }
 }
 
-/// Outgoing radiance of Lambertian surfaces: albedo/π · E.
-fn reflected(albedo: &Rgb, irradiance: &Rgb) -> Rgb {
-    let texel = |(a, e): (&[f32; 3], &[f32; 3])| [0, 1, 2].map(|c| a[c] / PI * e[c]);
-    let data = albedo.data.iter().zip(&irradiance.data).map(texel).collect();
-    Rgb { width: albedo.width, height: albedo.height, data }
-}
-
-/// Texels that light leaves again: those inside other geometry take their neighbours' value.
-fn visible(buried: &[bool]) -> Vec<bool> {
-    buried.iter().map(|inside| !inside).collect()
-}
-
-fn add(sum: &mut [[f32; 3]], other: &[[f32; 3]]) {
-    for (sum, other) in sum.iter_mut().zip(other) {
-        *sum = [sum[0] + other[0], sum[1] + other[1], sum[2] + other[2]];
+/// Outgoing radiance of Lambertian surfaces: albedo/π · E, of which `irradiance` tells some rows.
+fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Result<Vec<[f32; 3]>>) -> Result<Rgb> {
+    let mut sent = Rgb { width: albedo.width, height: albedo.height, data: Vec::with_capacity(albedo.data.len()) };
+    for rows in bands(albedo.width, albedo.height, BAND) {
+        let albedo = &albedo.data[rows.start * albedo.width..];
+        let texel = |(a, e): (&[f32; 3], [f32; 3])| [0, 1, 2].map(|c| a[c] / PI * e[c]);
+        sent.data.extend(albedo.iter().zip(irradiance(rows)?).map(texel));
     }
-}
-
-fn mean(irradiance: &[[f32; 3]], buried: &[bool]) -> f64 {
-    let seen = || irradiance.iter().zip(buried).filter(|(_, inside)| !**inside);
-    let sum: f64 = seen().flat_map(|(e, _)| e).map(|v| f64::from(*v)).sum();
-    sum / (3 * seen().count()).max(1) as f64
+    Ok(sent)
 }
 
 /// What a series lacks as a share of its sum, if it goes on like its last two members: geometrically.
@@ -159,13 +140,13 @@ fn remainder_of(series: &[f64]) -> f64 {
     }
 }
 
-fn check(atlas: &Atlas, surfaces: &Surfaces) -> Result<()> {
+fn check(texels: &Texels<'_>, surfaces: &Surfaces) -> Result<()> {
+    let size = texels.size();
     for (name, map) in [("albedo", &surfaces.albedo), ("emission", &surfaces.emission)] {
-        if map.size() != (atlas.width, atlas.height) {
-            let (width, height) = map.size();
+        if [map.width, map.height] != size {
             return Err(Error::invalid(format!(
-                "the {name} map is {width}×{height} texels; expected {}×{} as the lightmap",
-                atlas.width, atlas.height
+                "the {name} map is {}×{} texels; expected {}×{} as the lightmap",
+                map.width, map.height, size[0], size[1]
             )));
         }
     }
@@ -176,5 +157,5 @@ fn check(atlas: &Atlas, surfaces: &Surfaces) -> Result<()> {
     if !channel(&surfaces.emission, |v| *v >= 0.0 && v.is_finite()) {
         return Err(Error::invalid("the emission map is negative or not finite; expected radiance"));
     }
-    surfaces.lights.iter().try_for_each(crate::punctual::PunctualLight::check)
+    surfaces.lights.iter().try_for_each(PunctualLight::check)
 }

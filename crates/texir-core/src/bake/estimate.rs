@@ -85,7 +85,7 @@ impl Estimate {
                     estimate.rays.get(&items)?.iter().map(|before| before + 2 * rays as u32).collect();
                 estimate.rays.set(&items, &so_far)?;
             }
-            estimate.floor = estimate.dark()?;
+            estimate.floor = estimate.dark(texels)?;
         }
         Ok(estimate)
     }
@@ -93,7 +93,7 @@ impl Estimate {
     /// E of every point, the mean of both halves, and 0 for points inside other geometry, else 1.
     pub fn means(&self, texels: &Texels<'_>) -> Result<(Store<'static, [f32; 3]>, Store<'static, u8>)> {
         let (mut means, mut seen) = (texels.zeroed()?, texels.zeroed()?);
-        for items in self.pieces() {
+        for items in texels.pieces() {
             let known = self.known(&items)?;
             let [a, b] = &known.halves;
             means.set(&items, &(0..items.len()).map(|i| known.mean(i).to_array()).collect::<Vec<_>>())?;
@@ -144,7 +144,7 @@ impl Estimate {
             above.set(&block.items.filter(own), &found)
         })?;
         let mut list = surface.texels.workspace.empty()?;
-        for items in self.pieces() {
+        for items in surface.texels.pieces() {
             let Items::Range(range) = &items else { continue };
             let above = above.get(&items)?;
             let open = range.clone().zip(above.iter()).filter(|(_, above)| **above != 0);
@@ -154,19 +154,13 @@ impl Estimate {
     }
 
     /// See `floor`.
-    fn dark(&self) -> Result<f32> {
+    fn dark(&self, texels: &Texels<'_>) -> Result<f32> {
         let mut sum = 0.0;
-        for items in self.pieces() {
+        for items in texels.pieces() {
             let known = self.known(&items)?;
             (0..items.len()).for_each(|i| sum += f64::from(known.luminance(i)));
         }
         Ok((DARK * (sum / self.rays.len().max(1) as f64) as f32).max(f32::MIN_POSITIVE))
-    }
-
-    /// All points, some at a time.
-    fn pieces(&self) -> impl Iterator<Item = Items> + use<> {
-        let len = self.rays.len();
-        (0..len).step_by(PIECE).map(move |start| Items::Range(start..(start + PIECE).min(len)))
     }
 
     fn known(&self, items: &Items) -> Result<Known<'_>> {

@@ -19,6 +19,10 @@ const TEXEL: u64 = 192;
 /// Bytes that a valid texel takes in a bake with bounces, as measured: what [`TEXEL`] counts, light so far, and the last bounce's.
 const BOUNCING: u64 = 340;
 
+/// Bytes per texel of the map in a bake with bounces: albedo, emission, what a bounce sends on and the backend's copy, and what is
+/// padded meanwhile.
+const SURFACES: u64 = 64;
+
 /// Bytes per texel of the HDR texture: itself, the backend's, and its texels while the lights among them are found.
 const RADIANCE: u64 = 64;
 
@@ -29,7 +33,7 @@ const BASE: u64 = 48 << 20;
 const FEWEST: u64 = 1 << 18;
 
 /// How to keep a bake within `limit`: in memory where a map of `[width, height]` texels, all of them valid, fits beside the mesh
-/// and an HDR texture of `radiance` texels; else in files in `folder`, which exists. Errors when even those leave too little.
+/// and an HDR texture of `radiance` texels; else in files in `folder`. Errors when even those leave too little.
 pub fn keep_within(
     limit: ByteSize,
     folder: &Path,
@@ -52,22 +56,31 @@ pub fn keep_within(
     Ok(Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(limit.0 - beside) })
 }
 
-/// Errors when a bake with bounces, which has all its maps in memory, does not fit `limit`: a map of `[width, height]` texels of
-/// which `valid` are covered, beside the mesh.
-pub fn check_bounces(limit: ByteSize, mesh: &Mesh, [width, height]: [usize; 2], valid: usize) -> Result<()> {
-    let beside = BASE + Scene::memory(mesh);
-    let maps = (width * height) as u64 * RADIANCE + valid as u64 * BOUNCING;
-    let needed = ByteSize(beside + maps);
-    if needed <= limit {
-        return Ok(());
+/// [`keep_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of every
+/// texel besides goes to files where it does not fit.
+pub fn keep_bounces_within(
+    limit: ByteSize,
+    folder: &Path,
+    mesh: &Mesh,
+    [width, height]: [usize; 2],
+) -> Result<Workspace> {
+    let (beside, texels) = (BASE + Scene::memory(mesh), (width * height) as u64);
+    if beside + texels * (SURFACES + BOUNCING) <= limit.0 {
+        return Ok(Workspace::Memory);
+    }
+    let work = FEWEST * POINT;
+    let least = ByteSize(beside + texels * SURFACES + work);
+    if least <= limit {
+        let memory = ByteSize(limit.0 - beside - texels * SURFACES);
+        return Ok(Workspace::Disk { folder: folder.to_owned(), memory });
     }
     // Maps of the same charts need memory by their area.
-    let share = limit.0.saturating_sub(beside) as f64 / maps as f64;
+    let share = limit.0.saturating_sub(beside + work) as f64 / (texels * SURFACES) as f64;
     let largest = (width.max(height) as f64 * share.sqrt()) as usize / 64 * 64;
     let advice = if largest > 0 { format!("raise it, or bake {largest} texels a side") } else { "raise it".into() };
     Err(Error::invalid(format!(
         "max_memory is {limit}, but all the light of a scene with {} triangles on a map of {width}×{height} texels needs about \
-         {needed}: {advice}",
+         {least}: {advice}",
         mesh.triangles.len()
     )))
 }

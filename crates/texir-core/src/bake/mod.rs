@@ -16,7 +16,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use bytemuck::cast_slice;
 
-pub use self::memory::{check_bounces, keep_within};
+pub use self::memory::{keep_bounces_within, keep_within};
 pub use self::solution::{Solution, solve};
 pub use self::store::Workspace;
 pub use self::texels::Texels;

@@ -16,8 +16,8 @@ use crate::denoise::{self, Noisy};
 use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-#[cfg(feature = "oidn")]
-use crate::raster::Raster;
+use crate::raster::{Raster, Rgb};
+use crate::surface::SurfacePoint;
 
 /// A texel lies inside an object when this share of its rays meets the backs of triangles.
 const BURIED: f32 = 0.5;
@@ -34,6 +34,12 @@ pub struct Solution {
 }
 
 impl Solution {
+    /// [`Baked::map`], in memory; `texels` are those that were baked.
+    pub fn map(&self, texels: &Texels<'_>, buried: Buried) -> Result<Rgb> {
+        let [width, height] = texels.size();
+        Raster::new(width, height, self.map_rows(texels, buried, 0..height)?)
+    }
+
     /// Some rows of [`Baked::map`]; `texels` are those that were baked.
     pub fn map_rows(&self, texels: &Texels<'_>, buried: Buried, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         texels.rows(&self.irradiance, (buried == Buried::Fill).then_some(&self.seen), rows, PADDING)
@@ -50,6 +56,71 @@ impl Solution {
     /// How many texels lie inside other geometry.
     pub fn buried(&self) -> Result<usize> {
         self.seen.pieces(PIECE).map(|seen| Ok(seen?.iter().filter(|seen| **seen == 0).count())).sum()
+    }
+
+    /// The same once more.
+    pub(crate) fn copy(&self, texels: &Texels<'_>) -> Result<Self> {
+        let mut copy = Self {
+            irradiance: texels.zeroed()?,
+            seen: texels.zeroed()?,
+            standard_error: self.standard_error.as_ref().map(|_| texels.zeroed()).transpose()?,
+            rays: self.rays,
+        };
+        for items in texels.pieces() {
+            copy.irradiance.set(&items, &self.irradiance.get(&items)?)?;
+            copy.seen.set(&items, &self.seen.get(&items)?)?;
+            if let (Some(copy), Some(errors)) = (&mut copy.standard_error, &self.standard_error) {
+                copy.set(&items, &errors.get(&items)?)?;
+            }
+        }
+        Ok(copy)
+    }
+
+    /// Adds the light of another bake of the same texels, with noise of its own.
+    pub(crate) fn add(&mut self, texels: &Texels<'_>, other: &Self) -> Result<()> {
+        self.rays += other.rays;
+        for items in texels.pieces() {
+            let sum = sums(&self.irradiance.get(&items)?, &other.irradiance.get(&items)?);
+            self.irradiance.set(&items, &sum)?;
+            if let (Some(errors), Some(others)) = (&mut self.standard_error, &other.standard_error) {
+                let both: Vec<f32> =
+                    errors.get(&items)?.iter().zip(others.get(&items)?.iter()).map(|(a, b)| a.hypot(*b)).collect();
+                errors.set(&items, &both)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds light without noise, which `light` tells of some points at a time.
+    pub(crate) fn add_exact(
+        &mut self,
+        texels: &Texels<'_>,
+        mut light: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>>,
+    ) -> Result<()> {
+        for items in texels.pieces() {
+            let sum = sums(&self.irradiance.get(&items)?, &light(&texels.points.get(&items)?)?);
+            self.irradiance.set(&items, &sum)?;
+        }
+        Ok(())
+    }
+
+    /// Mean over the channels and the texels that are not inside other geometry, which `first` tells.
+    pub(crate) fn mean(&self, texels: &Texels<'_>, first: &Self) -> Result<f64> {
+        let (mut sum, mut count) = (0.0, 0);
+        for items in texels.pieces() {
+            let (irradiance, seen) = (self.irradiance.get(&items)?, first.seen.get(&items)?);
+            for (e, _) in irradiance.iter().zip(seen.iter()).filter(|(_, seen)| **seen != 0) {
+                sum += e.iter().map(|v| f64::from(*v)).sum::<f64>();
+                count += 3;
+            }
+        }
+        Ok(sum / f64::from(count.max(1)))
+    }
+
+    /// Some rows of the map of light that surfaces can send on: texels that are inside other geometry, which `first` tells, take
+    /// their nearest lit neighbour's.
+    pub(crate) fn seen_rows(&self, texels: &Texels<'_>, first: &Self, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
+        texels.rows(&self.irradiance, Some(&first.seen), rows, PADDING)
     }
 
     /// Removes most of the noise, block by block; each is kept.
@@ -101,7 +172,8 @@ impl Solution {
         Ok(self)
     }
 
-    pub(super) fn into_baked(self) -> Result<Baked> {
+    /// All of it, in memory.
+    pub fn into_baked(self) -> Result<Baked> {
         Ok(Baked {
             irradiance: self.irradiance.into_vec()?,
             buried: self.seen.into_vec()?.into_iter().map(|seen| seen == 0).collect(),
@@ -109,6 +181,10 @@ impl Solution {
             rays: self.rays,
         })
     }
+}
+
+fn sums(a: &[[f32; 3]], b: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    a.iter().zip(b).map(|(a, b)| [a[0] + b[0], a[1] + b[1], a[2] + b[2]]).collect()
 }
 
 /// [`super::bake`] of texels that need not be in memory.

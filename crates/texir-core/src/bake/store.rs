@@ -26,7 +26,7 @@ pub enum Workspace {
     Memory,
     /// In files.
     Disk {
-        /// An existing folder, in which the files lie as long as they are used.
+        /// The folder, made if need be, in which the files lie as long as they are used.
         folder: PathBuf,
         /// What neighbourhoods may take while they are worked on, a block of space at a time.
         memory: ByteSize,
@@ -45,6 +45,7 @@ impl Workspace {
             Self::Memory => Ok(Store::Memory(Cow::Owned(vec![T::zeroed(); len]))),
             Self::Disk { folder, .. } => {
                 let failed = |e| Error::file(folder, format!("cannot hold a file for what a bake works on: {e}"));
+                std::fs::create_dir_all(folder).map_err(failed)?;
                 let file = tempfile::tempfile_in(folder).map_err(failed)?;
                 file.set_len((len * size_of::<T>()) as u64).map_err(failed)?;
                 Ok(Store::Disk { file, folder: folder.clone(), len, items: PhantomData })

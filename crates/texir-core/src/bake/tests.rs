@@ -8,12 +8,14 @@ use glam::{Vec2, Vec3};
 use super::surface::Surface;
 use super::tiles::{Tiles, rays_of};
 use super::*;
+use crate::authored::{self, Bounces, Surfaces};
 use crate::backend::Gathered;
 use crate::cpu::CpuBackend;
 use crate::denoise;
 use crate::error::Error;
 use crate::lights::Lights;
 use crate::progress::Silent;
+use crate::punctual::PunctualLight;
 use crate::scene::Scene;
 
 const SIDE: usize = 16;
@@ -257,6 +259,36 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
 }
 
 #[test]
+fn bounces_in_files_have_the_bits_of_those_in_memory() {
+    let (scene, _) = strips();
+    let mut backend = CpuBackend::new(&scene);
+    let folder = tempfile::tempdir().unwrap();
+    // The ceiling shines; its chart is in the last row of the atlas.
+    let shines = |i: usize| if i / LARGE > LARGE * 3 / 4 { [9.0, 5.0, 2.0] } else { [0.0; 3] };
+    let surfaces = Surfaces {
+        albedo: Rgb::filled(LARGE, LARGE, [0.7, 0.5, 0.3]),
+        emission: Rgb { width: LARGE, height: LARGE, data: (0..LARGE * LARGE).map(shines).collect() },
+        lights: vec![PunctualLight::point([6.0, 0.5, 0.3], [2.0; 3])],
+        environment: None,
+    };
+    for (error, denoise) in [(None, None), (Some(0.3), Some(Denoiser::Regression))] {
+        let quality = Quality { gather: GATHER, error, denoise };
+        let bounces = Bounces { quality, tolerance: 1e-3, most: 4 };
+        let mut solve = |workspace| {
+            let texels = Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent).unwrap();
+            let none = Checkpoints::none();
+            let solved =
+                authored::irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
+            let buried = solved.solution.buried().unwrap();
+            (maps(&solved.solution, &texels, Buried::Fill, 16), buried, solved.solution.rays, solved.series)
+        };
+        let memory = solve(Workspace::Memory);
+        assert!(memory.1 > 10 && memory.3.len() > 2 && memory.3[1] > 0.05 * memory.3[0], "{:?}", memory.3);
+        assert!(memory == solve(on_disk(folder.path())), "{quality:?}");
+    }
+}
+
+#[test]
 fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = strips();
     let mut backend = lit(&scene, &radiance);
@@ -315,11 +347,13 @@ fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
 #[test]
 fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     let (scene, _) = strips();
-    let check = |limit, side: usize| check_bounces(limit, &scene.mesh, [side; 2], side * side);
-    assert!(check(ByteSize::gib(1), 1024).is_ok());
-    let error = check(ByteSize::gib(1), 4096).unwrap_err().to_string();
+    let plan = |limit, side: usize| keep_bounces_within(limit, Path::new("x.partial"), &scene.mesh, [side; 2]);
+    assert_eq!(plan(ByteSize::gib(1), 1024).unwrap(), Workspace::Memory);
+    let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 2048).unwrap() else { panic!("in memory") };
+    assert!(memory < ByteSize::mib(720) && memory > ByteSize::mib(600), "{memory}");
+    let error = plan(ByteSize::gib(1), 4096).unwrap_err().to_string();
     let side: usize = error.split("or bake ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap().parse().unwrap();
-    assert!((1024..4096).contains(&side) && check(ByteSize::gib(1), side).is_ok(), "{error}");
-    let error = check(ByteSize::mib(1), 64).unwrap_err().to_string();
+    assert!((2048..4096).contains(&side) && plan(ByteSize::gib(1), side).is_ok(), "{error}");
+    let error = plan(ByteSize::mib(1), 64).unwrap_err().to_string();
     assert!(error.ends_with(": raise it"), "{error}");
 }

@@ -1,5 +1,6 @@
 //! The texels of a map that is baked, and how the map is put together from their values.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use bytemuck::Pod;
@@ -68,6 +69,22 @@ impl<'a> Texels<'a> {
     /// How many texels are valid.
     pub fn valid(&self) -> usize {
         self.points.len()
+    }
+
+    /// All of them, some at a time.
+    pub(super) fn pieces(&self) -> impl Iterator<Item = Items> + use<> {
+        let valid = self.valid();
+        (0..valid).step_by(PIECE).map(move |start| Items::Range(start..(start + PIECE).min(valid)))
+    }
+
+    /// The surface points of all, some at a time.
+    pub(crate) fn points(&self) -> impl Iterator<Item = Result<Cow<'_, [SurfacePoint]>>> {
+        self.points.pieces(PIECE)
+    }
+
+    /// The surface points of those in some rows.
+    pub(crate) fn points_in(&self, rows: Range<usize>) -> Result<Cow<'_, [SurfacePoint]>> {
+        self.points.get(&Items::Range(self.rows[rows.start]..self.rows[rows.end]))
     }
 
     /// Edge of the median texel on the surface, metres.

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
     use crate::authored::{self, Bounces, Surfaces};
     use crate::backend::{Backend, Gather};
-    use crate::bake::{self, Buried, Denoiser, Quality};
+    use crate::bake::{self, Buried, Denoiser, Quality, Texels};
     use crate::brdf::Masking;
     use crate::checkpoint::Checkpoints;
     use crate::cpu::CpuBackend;
@@ -101,8 +101,9 @@ mod tests {
             most: 30,
         };
         let none = Checkpoints::none();
-        let truth = authored::irradiance(&mut backend, &scene, &atlas, &surfaces, &bounces, &none, &Silent).unwrap();
-        let truth: Vec<f32> = truth.baked.irradiance.iter().map(|e| e[0]).collect();
+        let texels = Texels::of(&atlas);
+        let truth = authored::irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
+        let truth: Vec<f32> = truth.solution.into_baked().unwrap().irradiance.iter().map(|e| e[0]).collect();
 
         // The wall at x = 0 is not seen, and was taken to be three times as bright as it is; the floor's half at y < 1.5 m shines
         // twice as bright towards the views as on average.

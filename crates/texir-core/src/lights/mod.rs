@@ -15,10 +15,14 @@ use crate::atlas::Atlas;
 use crate::mesh::Mesh;
 use crate::raster::{Rgb, luminance};
 use crate::scene::Scene;
+use crate::surface::SurfacePoint;
 
 /// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct light
 /// of a smaller contrast is found well enough by cosine samples.
 pub(crate) const CONTRAST: f32 = 3.0;
+
+/// Texels at most that tables of lights are learned at: hundreds for every one that there can be.
+const CHOSEN: usize = 1 << 20;
 
 /// A sampled triangle.
 #[repr(C)]
@@ -79,15 +83,9 @@ impl Lights {
 
     /// The triangles that stand out in `radiance`, sampled where they are seen. `atlas` has the size of `radiance`.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Self {
-        let mesh = &scene.mesh;
-        let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
-        let mut luminance = mean_luminance(mesh, atlas, radiance);
-        let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();
-        let total: f64 = luminance.iter().zip(&area).map(|(&l, &a)| f64::from(l * a)).sum();
-        let threshold = CONTRAST * (total / total_area) as f32;
-        luminance.iter_mut().filter(|l| !(**l > threshold)).for_each(|l| *l = 0.0);
-        let lights = Self::by_power(mesh, &luminance);
-        learn::learn(lights, scene, &atlas.points)
+        let mut finder = Finder::new(scene, radiance, atlas.points.len());
+        finder.take(&atlas.points);
+        finder.find()
     }
 
     /// The triangles whose `luminance` (one number per mesh triangle) is above 0, sampled in proportion to luminance × area
@@ -186,18 +184,58 @@ pub(crate) fn cumulative(weights: &[f32]) -> Vec<f32> {
     weights.iter().enumerate().map(up_to).collect()
 }
 
-/// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.
-fn mean_luminance(mesh: &Mesh, atlas: &Atlas, radiance: &Rgb) -> Vec<f32> {
-    let (mut sum, mut count) = (vec![0.0f32; mesh.triangles.len()], vec![0u32; mesh.triangles.len()]);
-    for (texel, point) in atlas.texels.iter().zip(&atlas.points) {
-        sum[point.triangle as usize] += luminance(&radiance.data[*texel as usize]);
-        count[point.triangle as usize] += 1;
+/// Finds lights among texels that come some at a time.
+pub(crate) struct Finder<'a> {
+    scene: &'a Scene,
+    radiance: &'a Rgb,
+    /// Sum of the luminance of each triangle's texels, and how many there are.
+    sums: Vec<(f32, u32)>,
+    /// Some of the texels, evenly chosen: one of `every`.
+    chosen: Vec<SurfacePoint>,
+    every: usize,
+    taken: usize,
+}
+
+impl<'a> Finder<'a> {
+    /// Of the lights in `radiance`, a map of which `texels` are valid.
+    pub fn new(scene: &'a Scene, radiance: &'a Rgb, texels: usize) -> Self {
+        let sums = vec![(0.0, 0); scene.mesh.triangles.len()];
+        Self { scene, radiance, sums, chosen: Vec::new(), every: texels.div_ceil(CHOSEN).max(1), taken: 0 }
     }
-    let centre = |t: u32| {
-        let [a, b, c] = mesh.corner_uvs(t);
-        luminance(&radiance.data[radiance.nearest((a + b + c) / 3.0)])
-    };
-    (0u32..).zip(sum.iter().zip(&count)).map(|(t, (s, &n))| if n > 0 { s / n as f32 } else { centre(t) }).collect()
+
+    /// Takes note of the texels that come next.
+    pub fn take(&mut self, points: &[SurfacePoint]) {
+        for point in points {
+            let (sum, count) = &mut self.sums[point.triangle as usize];
+            *sum += luminance(&self.radiance.data[point.sequence as usize]);
+            *count += 1;
+        }
+        let first = self.taken.next_multiple_of(self.every) - self.taken;
+        self.chosen.extend(points.iter().skip(first).step_by(self.every));
+        self.taken += points.len();
+    }
+
+    /// See [`Lights::find`].
+    pub fn find(self) -> Lights {
+        let mesh = &self.scene.mesh;
+        let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
+        let mut luminance = self.mean_luminance();
+        let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();
+        let total: f64 = luminance.iter().zip(&area).map(|(&l, &a)| f64::from(l * a)).sum();
+        let threshold = CONTRAST * (total / total_area) as f32;
+        luminance.iter_mut().filter(|l| !(**l > threshold)).for_each(|l| *l = 0.0);
+        learn::learn(Lights::by_power(mesh, &luminance), self.scene, &self.chosen)
+    }
+
+    /// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.
+    fn mean_luminance(&self) -> Vec<f32> {
+        let centre = |t: u32| {
+            let [a, b, c] = self.scene.mesh.corner_uvs(t);
+            luminance(&self.radiance.data[self.radiance.nearest((a + b + c) / 3.0)])
+        };
+        let mean = |(t, &(sum, count)): (u32, &(f32, u32))| if count > 0 { sum / count as f32 } else { centre(t) };
+        (0u32..).zip(&self.sums).map(mean).collect()
+    }
 }
 
 #[cfg(test)]

@@ -4,13 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::atlas::Atlas;
 use texir_core::authored::{self, Bounces, write_lightmapped_glb};
-use texir_core::bake::check_bounces;
+use texir_core::bake::{Texels, Workspace, keep_bounces_within};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
-use texir_core::lightmap::{Profile, write_lightmap};
+use texir_core::lightmap::Profile;
 use texir_core::progress::Progress;
 use texir_core::scene::Scene;
 
@@ -74,12 +73,16 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
     let [width, height] = model.size;
     let scene = Scene::new(model.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
-    let atlas = Atlas::new(backend.as_mut(), &scene, width, height)?;
-    if let Some(limit) = bake.max_memory {
-        check_bounces(limit, &scene.mesh, model.size, atlas.texels.len())?;
-    }
-    let surfaces = model.surfaces(backend.as_mut(), &atlas, environment)?;
+    let workspace = match bake.max_memory {
+        Some(limit) => keep_bounces_within(limit, &bake.partial(), &scene.mesh, model.size)?,
+        None => Workspace::Memory,
+    };
+    let texels = Texels::map(backend.as_mut(), &scene, model.size, workspace, session.console)?;
+    let surfaces = model.surfaces(backend.as_mut(), &texels, environment)?;
     if surfaces.is_dark() {
+        // Nothing was kept yet: the folder is there for files without a name, if at all, and stays where it is not empty.
+        drop(texels);
+        let _ = std::fs::remove_dir(bake.partial());
         return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(
             "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
         ));
@@ -88,24 +91,25 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
     let solved =
-        authored::irradiance(backend.as_mut(), &scene, &atlas, &surfaces, &bounces, &checkpoints, session.console)?;
-    let map = bake.profile().lightmap(&solved.baked.map(&atlas, bake.buried()));
-    write_lightmap(&bake.output, &map)?;
-    if let Some(errors) = &solved.baked.standard_error {
-        let scaled: Vec<f32> = errors.iter().map(|e| e * bake.profile().scale()).collect();
-        bake.write_standard_error((&atlas.scatter(&scaled, 0.0)).into())?;
-    }
-    let attached = (bake.profile() == Profile::Moz).then_some(&map);
-    write_lightmapped_glb(&glb, &bake.input, &model, attached)?;
+        authored::irradiance(backend.as_mut(), &scene, &texels, &surfaces, &bounces, &checkpoints, session.console)?;
+    drop(surfaces);
+    bake.write(&solved.solution, &texels, session)?;
+    let attached = match bake.profile() {
+        moz @ Profile::Moz => Some(moz.lightmap(&solved.solution.map(&texels, bake.buried())?)),
+        _ => None,
+    };
+    write_lightmapped_glb(&glb, &bake.input, &model, attached.as_ref())?;
+    let (buried, valid, rays) = (solved.solution.buried()?, texels.valid(), solved.solution.rays);
+    drop((solved.solution, texels));
     checkpoints.finish();
     let summary = Summary {
         output: bake.output.clone(),
         scene: glb,
         width,
         height,
-        texels: atlas.texels.len(),
-        buried: solved.baked.buried.iter().filter(|inside| **inside).count(),
-        rays: solved.baked.rays,
+        texels: valid,
+        buried,
+        rays,
         remainder: solved.remainder.is_finite().then_some(solved.remainder),
         series: solved.series,
     };
