@@ -56,6 +56,8 @@ struct DenoiseParams {
     // Points of this dispatch: [first, end).
     first: u32,
     end: u32,
+    // The cell of the first of them.
+    first_cell: u32,
     // Edge of a typical texel, metres.
     texel: f32,
     // The twin's constants; radii in texels.
@@ -78,7 +80,7 @@ const COLUMNS: u32 = 25u;
 
 @group(1) @binding(0) var<uniform> params: DenoiseParams;
 @group(1) @binding(1) var<storage, read> entries: array<Entry>;
-// Of every cell, COLUMNS ranges of `entries`.
+// Of every cell of this dispatch, COLUMNS ranges of `entries`.
 @group(1) @binding(2) var<storage, read> spans: array<vec2u>;
 @group(1) @binding(3) var<storage, read> estimates: array<Estimate>;
 @group(1) @binding(4) var<storage, read_write> smoothed: array<Smoothed>;
@@ -122,7 +124,7 @@ fn smooth_halves(
     var weight = 0.0;
     var squares = 0.0;
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
-        let span = spans[own.cell * COLUMNS + column];
+        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.guide_radius * params.texel).w;
             if near < 0.0 || estimates[j].apart != estimate.apart {
@@ -157,7 +159,7 @@ fn measure_noise(
     var sum = 0.0;
     var weight = 0.0;
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
-        let span = spans[own.cell * COLUMNS + column];
+        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.noise_radius * params.texel).w;
             if near < 0.0 || estimates[j].apart != apart {
@@ -192,8 +194,12 @@ fn add_to(fit: Fit, weight: f32, monomials: mat4x4f, value: vec3f) -> Fit {
     );
 }
 
+fn is_plausible(value: vec3f) -> bool {
+    return all(value >= vec3f(0.0)) && all(value <= vec3f(3.4e38));
+}
+
 // The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where extrapolation makes
-// it negative; what the point has itself without weight.
+// it negative; what the point has itself where neither is a number.
 fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
     let m = fit.moments;
     let weight = m[0].x;
@@ -215,9 +221,6 @@ fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
         vec3f(fit.last[0].x, fit.last[1].x, fit.last[2].x),
         vec3f(fit.last[0].y, fit.last[1].y, fit.last[2].y),
     );
-    if !(weight > 0.0) {
-        return own;
-    }
     let mean = b[0] / weight;
     // Gaussian elimination from the last unknown to the first, of which alone the solution is wanted: A stays symmetric.
     var solvable = true;
@@ -233,8 +236,10 @@ fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
         }
     }
     let fitted = b[0] / a[0][0];
-    let plausible = solvable && a[0][0] > 0.0 && all(fitted >= vec3f(0.0));
-    return select(mean, fitted, plausible);
+    if solvable && a[0][0] > 0.0 && is_plausible(fitted) {
+        return fitted;
+    }
+    return select(own, mean, is_plausible(mean));
 }
 
 @compute @workgroup_size(64)
@@ -255,7 +260,7 @@ fn regress(
     var a: Fit;
     var b: Fit;
     for (var column = 0u; column < COLUMNS; column++) {
-        let span = spans[own.cell * COLUMNS + column];
+        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.radius * params.texel);
             if near.w < 0.0 || estimates[j].apart != estimate.apart {
@@ -301,7 +306,7 @@ fn clean(
     var shared_part = 0.0;
     var variance = 0.0;
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
-        let span = spans[own.cell * COLUMNS + column];
+        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
         for (var j = span.x; j < span.y; j++) {
             let near = nearness(own, entries[j], params.miss_radius * params.texel).w;
             if near < 0.0 || estimates[j].apart != estimate.apart {

@@ -70,8 +70,24 @@ fn denoising() {
     assert!(SOLVED.failures(&lanes3(&mean), &expected).len() > 2 * points.len());
     let mixed = twin(Noisy { apart: &vec![false; points.len()], ..noisy });
     assert!(SOLVED.failures(&lanes3(&got), &mixed).len() > points.len() / 10);
-    // The same bits however it is cut: the second call has measured the device.
+    // The same bits however it is cut: the second call has measured the device, and a block sees what is around it.
     assert!(got == backend.denoise(noisy).unwrap());
+    let part: Vec<usize> = (0..points.len()).filter(|i| *i as u32 % SIDE < 50).collect();
+    let pick = |half: &Vec<[f32; 3]>| part.iter().map(|&i| half[i]).collect();
+    let block = backend
+        .denoise(Noisy {
+            points: &part.iter().map(|&i| points[i]).collect::<Vec<_>>(),
+            halves: &[pick(&halves[0]), pick(&halves[1])],
+            apart: &part.iter().map(|&i| apart[i]).collect::<Vec<_>>(),
+            texel: TEXEL,
+        })
+        .unwrap();
+    let differs = |margin: u32| {
+        let own = |i: &usize| *i as u32 % SIDE < 50 - margin;
+        part.iter().zip(&block).filter(|(i, clean)| own(i) && **clean != got[**i]).count()
+    };
+    assert_eq!(differs(13), 0);
+    assert!(differs(0) > 0, "a block that does not see what is around it differs at its border");
 }
 
 #[test]
@@ -84,7 +100,7 @@ fn points_in_any_order_and_by_themselves_pass() {
     let lonely = Noisy { points: &points()[..1], halves: &one, apart: &[false], texel: TEXEL };
     assert_eq!(backend.denoise(lonely).unwrap(), [[2.0; 3]]);
     let short = Noisy { points: &points()[..2], ..lonely };
-    assert!(backend.denoise(short).unwrap_err().to_string().contains("half of denoise"));
+    assert!(backend.denoise(short).unwrap_err().to_string().contains("2 points to denoise"));
     let dark: Halves = [vec![[0.0; 3]; 500], vec![[0.0; 3]; 500]];
     let dark = Noisy { points: &points()[..500], halves: &dark, apart: &[false; 500], texel: TEXEL };
     assert!(backend.denoise(dark).unwrap().iter().all(|e| *e == [0.0; 3]));

@@ -12,6 +12,7 @@
 #[cfg(feature = "oidn")]
 pub mod oidn;
 
+use crate::error::{Error, Result};
 use crate::surface::SurfacePoint;
 
 /// Radius of the fit, texels.
@@ -48,6 +49,26 @@ pub struct Noisy<'a> {
     pub halves: &'a Halves,
     /// Points that are not to be mixed with the others (inside other geometry).
     pub apart: &'a [bool],
-    /// Edge of a typical texel, metres.
+    /// Edge of a typical texel, metres, above 0.
     pub texel: f32,
+}
+
+impl Noisy<'_> {
+    /// Whether there is one of everything for every point, and texels have a size.
+    pub fn check(&self) -> Result<()> {
+        let [a, b] = self.halves;
+        if [a.len(), b.len(), self.apart.len()] != [self.points.len(); 3] {
+            return Err(Error::invalid(format!(
+                "{} points to denoise, with halves of {} and {} estimates and {} flags",
+                self.points.len(),
+                a.len(),
+                b.len(),
+                self.apart.len()
+            )));
+        }
+        if self.texel > 0.0 && self.texel.is_finite() {
+            return Ok(());
+        }
+        Err(Error::invalid(format!("texels of {} m to denoise; expected a size above 0", self.texel)))
+    }
 }

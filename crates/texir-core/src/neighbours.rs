@@ -10,14 +10,14 @@ use crate::surface::SurfacePoint;
 pub const SAME_WAY: f32 = 0.9;
 /// How far a point may lie beside the tangent plane, as a share of the search radius.
 pub const BESIDE: f32 = 0.15;
-/// Columns along z of 1 × 1 × 5 cells within two cells of one,
-pub const COLUMNS: usize = 25;
-/// and those within one cell, which come first.
-pub const NEAR_COLUMNS: usize = 9;
+/// Columns along z of 1 × 1 × 5 cells within one cell of another,
+pub const NEAR: usize = 9;
+/// and within two, those within one first.
+pub const FAR: usize = 25;
 
-/// Points by cells of a sparse grid.
+/// Points by cells of a sparse grid, for searches in [`NEAR`] or [`FAR`] columns around each.
 #[derive(Debug)]
-pub struct Neighbours {
+pub struct Neighbours<const COLUMNS: usize> {
     /// Edge of a cell, metres.
     edge: f32,
     /// The points, cell by cell in order of x, y, z and then of the points' own, so that a column of cells lies together.
@@ -42,8 +42,8 @@ pub struct Entry {
     pub cell: u32,
 }
 
-impl Neighbours {
-    /// Sorts the points into cells of `edge` metres, for searches of up to twice that radius.
+impl<const COLUMNS: usize> Neighbours<COLUMNS> {
+    /// Sorts the points into cells of `edge` metres, for searches of up to that radius, or twice that with [`FAR`].
     pub fn new(points: &[SurfacePoint], edge: f32) -> Self {
         let cell_at = |i: u32| cell_of(points[i as usize].position.into(), edge).to_array();
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
@@ -64,7 +64,7 @@ impl Neighbours {
         starts.push(points.len() as u32);
         // The first point in that cell or in one after it.
         let first = |cell: [i32; 3]| starts[cells.partition_point(|other| *other < cell)];
-        let columns = columns();
+        let columns: [[i32; 2]; COLUMNS] = std::array::from_fn(column);
         let around = |&[x, y, z]: &[i32; 3]| {
             columns.map(|[dx, dy]| [first([x + dx, y + dy, z - 2]), first([x + dx, y + dy, z + 3])])
         };
@@ -72,12 +72,11 @@ impl Neighbours {
         Self { edge, entries, spans, places }
     }
 
-    /// The points within `radius` metres of point `i` on its surface, itself included: index and offset, metres. The radius is
-    /// at most twice the edge of the cells.
+    /// The points within `radius` metres of point `i` on its surface, itself included: index and offset, metres.
     pub fn of(&self, i: usize, radius: f32) -> impl Iterator<Item = (usize, Vec3)> + '_ {
         let own = self.entries[self.places[i] as usize];
         let (position, normal) = (Vec3::from(own.position), Vec3::from(own.normal));
-        let columns = if radius <= self.edge { NEAR_COLUMNS } else { COLUMNS };
+        let columns = if radius <= self.edge { NEAR } else { COLUMNS };
         (self.spans[own.cell as usize][..columns].iter())
             .flat_map(|&[start, end]| &self.entries[start as usize..end as usize])
             .map(move |entry| (entry, Vec3::from(entry.position) - position))
@@ -96,16 +95,18 @@ impl Neighbours {
     }
 }
 
-/// Where columns are beside their middle one: those within one cell, then those within two.
-fn columns() -> [[i32; 2]; COLUMNS] {
-    let mut columns = std::array::from_fn(|k| [k as i32 % 5 - 2, k as i32 / 5 - 2]);
+/// Where the columns are beside the one in the middle: those within one cell, then those within two.
+fn column(k: usize) -> [i32; 2] {
+    let mut columns: [[i32; 2]; FAR] = std::array::from_fn(|k| [k as i32 % 5 - 2, k as i32 / 5 - 2]);
     columns.sort_by_key(|[dx, dy]| dx.abs().max(dy.abs()).max(1));
-    columns
+    columns[k]
 }
 
-/// The cell of a grid of some `edge` (metres) that a place lies in.
+/// The cell of a grid of some `edge` (metres) that a place lies in. What is too far from the origin to be counted is taken to be as
+/// far as can be counted with room for sums and differences.
 pub(crate) fn cell_of(position: Vec3, edge: f32) -> IVec3 {
-    (position / edge).floor().as_ivec3()
+    const FARTHEST: Vec3 = Vec3::splat(1e9);
+    (position / edge).floor().clamp(-FARTHEST, FARTHEST).as_ivec3()
 }
 
 #[cfg(test)]
@@ -126,22 +127,35 @@ mod tests {
             SurfacePoint { position, triangle: 0, normal, sequence: i }
         };
         let points: Vec<SurfacePoint> = (0..3000).map(point).collect();
-        let neighbours = Neighbours::new(&points, 0.1);
+        let neighbours = Neighbours::<FAR>::new(&points, 0.1);
+        let near = Neighbours::<NEAR>::new(&points, 0.1);
         for radius in [0.04, 0.1, 0.13, 0.2] {
             for i in (0..points.len()).step_by(17) {
                 let [p, n] = [points[i].position, points[i].normal].map(Vec3::from);
-                let near = |j: &usize| {
+                let close = |j: &usize| {
                     let offset = Vec3::from(points[*j].position) - p;
                     let beside = offset.dot(n).abs() < BESIDE * radius;
                     offset.length_squared() < radius * radius && beside && n.dot(points[*j].normal.into()) > SAME_WAY
                 };
                 let mut found: Vec<usize> = neighbours.of(i, radius).map(|(j, _)| j).collect();
                 found.sort_unstable();
-                assert_eq!(found, (0..points.len()).filter(near).collect::<Vec<_>>(), "{i}, {radius} m");
+                assert_eq!(found, (0..points.len()).filter(close).collect::<Vec<_>>(), "{i}, {radius} m");
                 assert!(found.contains(&i));
+                let alike = near.of(i, radius).eq(neighbours.of(i, radius));
+                assert!(alike || radius > 0.1, "{i}, {radius} m");
             }
         }
         assert!((100..3000).contains(&neighbours.most()));
-        assert_eq!(Neighbours::new(&[], 0.1).most(), 0);
+        assert_eq!(Neighbours::<FAR>::new(&[], 0.1).most(), 0);
+    }
+
+    #[test]
+    fn points_too_far_away_to_be_counted_are_points_even_so() {
+        let point =
+            |x: f32, z: f32| SurfacePoint { position: [x, 0.0, z], triangle: 0, normal: [0.0, 1.0, 0.0], sequence: 0 };
+        let points = [point(0.0, 0.0), point(1e9, 1e9), point(-1e9, 1e9), point(1e9, -1e9), point(0.005, 0.0)];
+        let neighbours = Neighbours::<FAR>::new(&points, 0.01);
+        let found = |i| neighbours.of(i, 0.02).map(|(j, _)| j).collect::<Vec<_>>();
+        assert_eq!((found(0), found(1), found(2), found(3)), (vec![0, 4], vec![1], vec![2], vec![3]));
     }
 }

@@ -141,11 +141,8 @@ impl Backend for GpuBackend<'_> {
     }
 
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
-        let count = noisy.points.len();
-        countable(count)?;
-        sized("first half of denoise", noisy.halves[0].len(), count)?;
-        sized("second half of denoise", noisy.halves[1].len(), count)?;
-        sized("flags of denoise", noisy.apart.len(), count)?;
+        countable(noisy.points.len())?;
+        noisy.check()?;
         let gpu = self.context.gpu.clone();
         gpu.guarded("denoise", || denoise::run(&mut self.context, noisy))
     }

@@ -77,6 +77,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
             host!(DenoiseParams {
                 first,
                 end,
+                first_cell,
                 texel,
                 radius,
                 guide_radius,

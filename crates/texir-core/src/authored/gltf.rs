@@ -126,7 +126,7 @@ impl Model {
         let materials = self.materials();
         let [mut albedo, mut emission] = [(); 2].map(|()| Rgb::filled(width, height, [0.0; 3]));
         let mut filled = vec![false; width * height];
-        for rows in bands(width, height, BAND / (LOOKUPS * LOOKUPS)) {
+        for rows in bands(width, height, BAND) {
             let hits = backend.texels([columns, LOOKUPS * height], LOOKUPS * rows.start..LOOKUPS * rows.end)?;
             let texel = |point: &SurfacePoint| {
                 let (x, y) = (point.sequence as usize % width, point.sequence as usize / width - rows.start);

@@ -74,6 +74,7 @@ pub fn irradiance(
         }
         let share = series.last().copied().unwrap_or(0.0) / series[0];
         let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
+        drop(last);
         last = solver.gather(&sent, k, share)?;
         total.add(texels, &last)?;
         series.push(last.mean(texels, &total)?);
@@ -94,6 +95,9 @@ struct Solver<'a> {
 impl Solver<'_> {
     /// Adds E from the punctual lights.
     fn add_punctual(&mut self, direct: &mut Solution, lights: &[PunctualLight]) -> Result<()> {
+        if lights.is_empty() {
+            return Ok(());
+        }
         let rays = self.texels.valid() as u64 * lights.len() as u64;
         direct.rays += rays;
         self.progress.start("punctual lights", rays, "rays");

@@ -18,7 +18,7 @@ use crate::surface::SurfacePoint;
 const CELL: f32 = 4.0;
 
 /// Points of a block, where there is memory for more: some seconds' work on a processor, and arrays that any device binds.
-const MOST: usize = 1 << 21;
+const MOST: usize = 1 << 20;
 
 /// A partition of the texels.
 pub(super) struct Blocks {
@@ -87,8 +87,9 @@ impl Blocks {
             let mut found: Vec<Vec<u32>> = vec![Vec::new(); regions.len()];
             for (point, i) in points.iter().zip(first..) {
                 let position = Vec3::from(point.position);
-                let near = &near[&cell_of(position, edge)];
-                let within = |k: &usize| near.len() == 1 || regions[*k].reaches(position, reach, edge);
+                let cell = cell_of(position, edge);
+                let near = &near[&cell];
+                let within = |k: &usize| near.len() == 1 || regions[*k].reaches(position, cell, reach, edge);
                 near.iter().filter(|k| within(k)).for_each(|&k| found[k].push(i));
             }
             for (region, found) in regions.iter_mut().zip(found).filter(|(_, found)| !found.is_empty()) {
@@ -117,10 +118,10 @@ impl Blocks {
 }
 
 impl Region {
-    /// Whether a place is in the box or within `reach` of it.
-    fn reaches(&self, position: Vec3, reach: f32, edge: f32) -> bool {
+    /// Whether a place is in the box, by its cell, or within `reach` of it.
+    fn reaches(&self, position: Vec3, cell: IVec3, reach: f32, edge: f32) -> bool {
         let [low, high] = [self.cells[0].as_vec3() * edge, (self.cells[1] + 1).as_vec3() * edge];
-        (position - position.clamp(low, high)).abs().max_element() <= reach
+        contains(self.cells, cell) || (position - position.clamp(low, high)).abs().max_element() <= reach
     }
 }
 

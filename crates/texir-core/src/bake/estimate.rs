@@ -17,7 +17,7 @@ use super::tiles::{Tiles, rays_of};
 use crate::backend::{Backend, Gather, Gathered, Sequences};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
-use crate::neighbours::Neighbours;
+use crate::neighbours::{NEAR, Neighbours};
 use crate::progress::Progress;
 use crate::raster::luminance;
 use crate::rng::hash;
@@ -113,7 +113,7 @@ impl Estimate {
         let mut errors = surface.texels.zeroed()?;
         surface.each("errors", progress, |_, block, points| {
             let known = self.known(&block.items)?;
-            let neighbours = Neighbours::new(points, RADIUS * surface.texel);
+            let neighbours = Neighbours::<NEAR>::new(points, RADIUS * surface.texel);
             let own = |i: usize| block.owns(&points[i]);
             let error =
                 |i| known.relative_error(i, neighbours.of(i, RADIUS * surface.texel)).unwrap_or(known.difference(i));
@@ -133,7 +133,7 @@ impl Estimate {
         let mut above = surface.texels.zeroed::<u8>()?;
         surface.each("errors", progress, |_, block, points| {
             let known = self.known(&block.items)?;
-            let neighbours = Neighbours::new(points, RADIUS * surface.texel);
+            let neighbours = Neighbours::<NEAR>::new(points, RADIUS * surface.texel);
             let open = |i: usize| {
                 let error = || known.relative_error(i, neighbours.of(i, RADIUS * surface.texel));
                 known.rays[i] == most && error().is_none_or(|error| error > target)

@@ -9,8 +9,9 @@ use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 
-/// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, guide, entries of the search
-/// and while they are sorted, result.
+/// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, what is found on the way, entries of
+/// the search and while they are sorted, result. Where texels are much larger than a typical one, cells of the search (216
+/// bytes) hold few of them, and it is up to twice as much.
 pub(super) const POINT: u64 = 192;
 
 /// Bytes that a valid texel takes where all of them are in memory, as measured.

@@ -10,6 +10,7 @@ use super::surface::Surface;
 use super::texels::{PIECE, Texels};
 use super::tiles::{Tiles, rays_of};
 use super::{Baked, Buried, Denoiser, PADDING, Quality};
+use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::denoise::{self, Noisy};
@@ -37,7 +38,11 @@ impl Solution {
     /// [`Baked::map`], in memory; `texels` are those that were baked.
     pub fn map(&self, texels: &Texels<'_>, buried: Buried) -> Result<Rgb> {
         let [width, height] = texels.size();
-        Raster::new(width, height, self.map_rows(texels, buried, 0..height)?)
+        let mut map = Vec::with_capacity(width * height);
+        for rows in bands(width, height, BAND) {
+            map.extend(self.map_rows(texels, buried, rows)?);
+        }
+        Raster::new(width, height, map)
     }
 
     /// Some rows of [`Baked::map`]; `texels` are those that were baked.
@@ -106,7 +111,7 @@ impl Solution {
 
     /// Mean over the channels and the texels that are not inside other geometry, which `first` tells.
     pub(crate) fn mean(&self, texels: &Texels<'_>, first: &Self) -> Result<f64> {
-        let (mut sum, mut count) = (0.0, 0);
+        let (mut sum, mut count) = (0.0, 0u64);
         for items in texels.pieces() {
             let (irradiance, seen) = (self.irradiance.get(&items)?, first.seen.get(&items)?);
             for (e, _) in irradiance.iter().zip(seen.iter()).filter(|(_, seen)| **seen != 0) {
@@ -114,7 +119,7 @@ impl Solution {
                 count += 3;
             }
         }
-        Ok(sum / f64::from(count.max(1)))
+        Ok(sum / count.max(1) as f64)
     }
 
     /// Some rows of the map of light that surfaces can send on: texels that are inside other geometry, which `first` tells, take
@@ -133,6 +138,10 @@ impl Solution {
         progress: &dyn Progress,
     ) -> Result<()> {
         let (texel, kept) = (surface.texel, surface.kept(checkpoints));
+        // Texels without a size are beside nothing.
+        if !(texel > 0.0) {
+            return Ok(());
+        }
         surface.each("denoising", progress, |k, block, points| {
             let own = |i: usize| block.owns(&points[i]);
             let owned = block.items.filter(own);

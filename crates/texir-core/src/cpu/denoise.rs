@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::brdf::basis;
 use crate::cholesky;
 use crate::denoise::{CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, TOLERANCE};
-use crate::neighbours::Neighbours;
+use crate::neighbours::{FAR, Neighbours};
 use crate::real::{Real, V3};
 
 /// The smallest variance and squared value that is divided by.
@@ -42,7 +42,7 @@ pub fn denoise<R: Real>(noisy: Noisy<'_>) -> Vec<[R; 3]> {
 /// The points, and who lies beside whom.
 struct Search<'a> {
     noisy: Noisy<'a>,
-    neighbours: Neighbours,
+    neighbours: Neighbours<FAR>,
 }
 
 impl Search<'_> {
@@ -195,7 +195,7 @@ impl<R: Real> Fit<R> {
     }
 
     /// The fitted value at the centre, `ridge` the weight of there being no curvature; the weighted mean where
-    /// extrapolation makes it negative. `None` without weight.
+    /// extrapolation makes it negative. `None` where neither is a number.
     fn centre(&self, ridge: R) -> Option<V3<R>> {
         let weight = self.moments[0].value();
         let mut matrix = [0.0; TERMS * TERMS];

@@ -158,6 +158,7 @@ impl Backend for CpuBackend<'_> {
     }
 
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+        noisy.check()?;
         Ok(denoise::denoise(noisy))
     }
 

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::cpu;
 use texir_core::denoise::{CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, TOLERANCE};
 use texir_core::error::Result;
-use texir_core::neighbours::{BESIDE, Entry, Neighbours, SAME_WAY};
+use texir_core::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
 
 use super::WORKGROUP;
 use crate::batch::Context;
@@ -12,14 +12,18 @@ use crate::batch::Context;
 /// The passes, and about how many rays' time one takes of a point.
 const PASSES: [(&str, u32); 4] = [("smooth_halves", 4), ("measure_noise", 4), ("regress", 16), ("clean", 4)];
 
-/// Points that a thread may look at: software drivers silently end it after 65,535 iterations of all its loops.
+/// Points that a thread of a software driver may look at: after 65,535 iterations of all its loops it silently ends.
 const MOST_LOOKED_AT: u64 = 65_000;
+
+/// Bytes of the ranges around one cell, of which a point of a dispatch has at most one.
+const SPANS: usize = FAR * size_of::<[u32; 2]>();
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct DenoiseParams {
     pub first: u32,
     pub end: u32,
+    pub first_cell: u32,
     pub texel: f32,
     pub radius: f32,
     pub guide_radius: f32,
@@ -46,8 +50,8 @@ pub(crate) struct Estimate {
 /// See [`texir_core::backend::Backend::denoise`].
 pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
     let count = noisy.points.len();
-    let neighbours = Neighbours::new(noisy.points, CELL * noisy.texel);
-    if count == 0 || neighbours.most() > MOST_LOOKED_AT {
+    let neighbours = Neighbours::<FAR>::new(noisy.points, CELL * noisy.texel);
+    if count == 0 || (ctx.gpu.is_cpu() && neighbours.most() > MOST_LOOKED_AT) {
         return Ok(cpu::denoise::denoise(noisy));
     }
     let Neighbours { entries, spans, .. } = &neighbours;
@@ -59,7 +63,6 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
     let on_device = [
         ("entries", pool.upload(gpu, "denoise entries", entries)?),
-        ("spans", pool.upload(gpu, "denoise spans", spans)?),
         ("estimates", pool.upload(gpu, "denoise estimates", &estimates)?),
         ("smoothed", pool.reserve(gpu, "denoise smoothed", 32 * count as u64)?),
         ("noise", pool.reserve(gpu, "denoise noise", 8 * count as u64)?),
@@ -70,10 +73,15 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
         let kernel = ctx.kernel("denoise", entry, None)?;
         let mut first = 0;
         while first < count {
-            let end = count.min(first + ctx.batch(cost, size_of::<Entry>()));
+            let end = count.min(first + ctx.batch(cost, SPANS));
+            // Points are in the order of their cells.
+            let [first_cell, last_cell] = [first, end - 1].map(|i| entries[i].cell);
+            let spans = &spans[first_cell as usize..=last_cell as usize];
+            let spans = ctx.pool.upload(&ctx.gpu, "denoise spans", spans)?;
             let params = ctx.params(&DenoiseParams {
                 first: first as u32,
                 end: end as u32,
+                first_cell,
                 texel: noisy.texel,
                 radius: RADIUS,
                 guide_radius: GUIDE_RADIUS,
@@ -86,7 +94,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
                 beside: BESIDE,
                 tiny: f32::MIN_POSITIVE,
             });
-            let mut resources = vec![("params", params.binding())];
+            let mut resources = vec![("params", params.binding()), ("spans", spans.binding())];
             resources.extend(on_device.iter().map(|(name, view)| (*name, view.binding())));
             let groups = kernel.bind(&ctx.gpu, &resources)?;
             let rays = u64::from(cost) * (end - first) as u64;
@@ -94,7 +102,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
             first = end;
         }
     }
-    let cleaned = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &on_device[6].1, count)?;
+    let cleaned = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &on_device[5].1, count)?;
     let mut out = vec![[0.0; 3]; count];
     entries.iter().zip(cleaned).for_each(|(entry, [r, g, b, _])| out[entry.index as usize] = [r, g, b]);
     Ok(out)

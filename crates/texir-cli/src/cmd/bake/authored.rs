@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::authored::{self, Bounces, write_lightmapped_glb};
+use texir_core::authored::{self, Bounces, Model, Surfaces, write_lightmapped_glb};
+use texir_core::backend::Backend;
 use texir_core::bake::{Texels, Workspace, keep_bounces_within};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
@@ -77,16 +78,9 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
         Some(limit) => keep_bounces_within(limit, &bake.partial(), &scene.mesh, model.size)?,
         None => Workspace::Memory,
     };
-    let texels = Texels::map(backend.as_mut(), &scene, model.size, workspace, session.console)?;
-    let surfaces = model.surfaces(backend.as_mut(), &texels, environment)?;
-    if surfaces.is_dark() {
-        // Nothing was kept yet: the folder is there for files without a name, if at all, and stays where it is not empty.
-        drop(texels);
-        let _ = std::fs::remove_dir(bake.partial());
-        return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(
-            "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
-        ));
-    }
+    let prepared = prepare(backend.as_mut(), &scene, &model, environment, workspace, (bake, session));
+    // Nothing is kept yet: a folder that is there for files without a name is empty.
+    let (texels, surfaces) = prepared.inspect_err(|_| drop(std::fs::remove_dir(bake.partial())))?;
     let bounces = Bounces { quality: bake.quality(session)?, tolerance: options.tolerance, most: options.bounces };
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
@@ -123,6 +117,25 @@ pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
             summary.series.len() - 1
         )
     })
+}
+
+/// The texels of the map, and what is on them.
+fn prepare(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    model: &Model,
+    environment: Option<Environment>,
+    workspace: Workspace,
+    (bake, session): (&Bake, &Session<'_>),
+) -> Result<(Texels<'static>, Surfaces), Failure> {
+    let texels = Texels::map(backend, scene, model.size, workspace, session.console)?;
+    let surfaces = model.surfaces(backend, &texels, environment)?;
+    if surfaces.is_dark() {
+        return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(
+            "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
+        ));
+    }
+    Ok((texels, surfaces))
 }
 
 fn read_environment(path: &PathBuf, options: &Authored, session: &Session<'_>) -> Result<Environment, Failure> {
