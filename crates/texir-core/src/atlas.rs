@@ -16,6 +16,9 @@ use crate::texture::{Pyramid, Tap};
 /// where rounding decides on which side of the neighbouring surface a ray starts, half of its rays would leave the room.
 const OFF_EDGE: f32 = 1e-3;
 
+/// Largest side of an atlas, texels: beyond it, no graphics card holds the texture, and readers of images refuse it.
+pub const LARGEST_SIDE: usize = 16_384;
+
 /// Texels that are mapped at a time.
 pub(crate) const BAND: usize = 1 << 19;
 

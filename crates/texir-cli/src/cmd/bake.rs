@@ -2,7 +2,7 @@
 
 mod authored;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
@@ -12,6 +12,7 @@ use texir_core::backend::Gather;
 use texir_core::bake::{self, Buried, Denoiser, Quality, Solution, Texels, Workspace};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
+use texir_core::error::Error;
 use texir_core::image_io::{Rows, write_gray};
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
@@ -20,7 +21,7 @@ use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
-use super::{Session, tbl};
+use super::{Session, check_outputs, check_side, tbl};
 use crate::device;
 use crate::failure::Failure;
 
@@ -32,13 +33,15 @@ pub struct Bake {
     /// HDR texture: the radiance that leaves every texel of the mesh
     #[arg(long, value_name = "FILE")]
     tbl: Option<PathBuf>,
-    /// Irradiance map (.exr, .hdr or .ktx2): ∫ L cosθ dω in full, not divided by π unless --profile says so
+    /// Irradiance map (.exr, .hdr or .ktx2): ∫ L cosθ dω in full, not divided by π unless --profile says so; of an authored
+    /// scene, the scene with the map's coordinates goes beside it, as NAME.glb
     #[arg(short, long, value_name = "FILE", default_value = "irradiance.exr")]
     output: PathBuf,
     /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
     #[arg(long, value_name = "N")]
     size: Option<usize>,
-    /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources
+    /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded up to a
+    /// multiple of four unless --no-denoise
     #[arg(long, value_name = "N", default_value_t = 1024)]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
@@ -47,7 +50,8 @@ pub struct Bake {
     /// Write the standard error of every texel's luminance, before denoising, as NAME_stderr.exr beside the map
     #[arg(long)]
     stderr: bool,
-    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them
+    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them; best with --no-denoise, as
+    /// denoising takes most of what few rays find
     #[arg(long)]
     cosine_only: bool,
     /// Leave the noise in: unbiased, for measuring and for many rays
@@ -102,13 +106,29 @@ struct Summary {
 impl Bake {
     /// Bakes and writes the map.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        if self.size == Some(0) || self.spp == 0 {
-            return Err(Failure::new("--size and --spp must be at least 1"));
+        if self.spp == 0 {
+            return Err(Failure::new("--spp must be at least 1"));
         }
+        self.size.map_or(Ok(()), check_side)?;
         let quality = self.quality(session)?;
         lightmap::check_extension(&self.output)?;
+        if !self.input.exists() {
+            return Err(Failure::new(format!("{}: no such file or folder", self.input.display())));
+        }
+        let read: Vec<&Path> = [Some(&self.input), self.tbl.as_ref(), self.authored.environment()]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect();
+        check_outputs(&[&self.output, &self.standard_error()], &read)?;
         if self.is_authored() {
-            return authored::run(self, session);
+            return authored::run(self, &read, session);
+        }
+        if self.authored.environment().is_some() {
+            return Err(Failure::new(
+                "--environment lights authored scenes alone; a capture's HDR texture has all its light",
+            )
+            .help("leave it out"));
         }
         let (scene, given) = self.load(session)?;
         let mut backend = device::open(&scene, session.config, session.console)?;
@@ -146,8 +166,12 @@ impl Bake {
 
     /// How many rays, and what becomes of their noise.
     fn quality(&self, session: &Session<'_>) -> Result<Quality, Failure> {
-        let light = if self.cosine_only { 0 } else { self.spp / 2 };
-        let gather = Gather::new(self.spp - light, light, session.config.fit.seed);
+        // Two halves of each kind of rays, where noise is told from what they differ by.
+        let kinds = if self.cosine_only { 1 } else { 2 };
+        let halved = self.error.is_some() || self.stderr || !self.no_denoise;
+        let rays = if halved && self.spp >= 2 * kinds { self.spp.next_multiple_of(2 * kinds) } else { self.spp };
+        let light = if self.cosine_only { 0 } else { rays / 2 };
+        let gather = Gather::new(rays - light, light, session.config.fit.seed);
         if self.error.is_some_and(|error| !(error > 0.0 && error.is_finite())) {
             return Err(Failure::new("--error must be a number above 0: 0.02 is 2 % of a texel's luminance"));
         }
@@ -177,6 +201,11 @@ impl Bake {
             console.check()?;
             console.advance((rows.len() * size[0]) as u64);
             let irradiance = solution.map_rows(texels, self.buried(), rows)?;
+            if !irradiance.iter().flatten().all(|v| v.is_finite()) {
+                return Err(Error::invalid(
+                    "some of the light is too strong for numbers; expected radiance below some 1e30",
+                ));
+            }
             Ok(irradiance.into_iter().map(|e| e.map(|v| v * scale)).collect())
         });
         let written = lightmap::write_lightmap(&self.output, map);
@@ -191,10 +220,15 @@ impl Bake {
     /// Writes what `--stderr` asks for, in the unit of the map.
     fn write_standard_error(&self, errors: Rows<'_, 1>) -> Result<(), Failure> {
         if self.stderr {
-            let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
-            write_gray(self.output.with_file_name(format!("{stem}_stderr.exr")), errors)?;
+            write_gray(self.standard_error(), errors)?;
         }
         Ok(())
+    }
+
+    /// Where `--stderr` writes.
+    fn standard_error(&self) -> PathBuf {
+        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+        self.output.with_file_name(format!("{stem}_stderr.exr"))
     }
 
     /// Where the results so far lie while the bake runs: beside the output.

@@ -15,10 +15,11 @@ mod render;
 mod report;
 mod tbl;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
+use texir_core::atlas::LARGEST_SIDE;
 use texir_core::capture::{self, Capture, LoadOptions, Split};
 use texir_core::render::Textures;
 
@@ -95,6 +96,30 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
         Command::Report(command) => command.run(session),
         Command::Bench(command) => command.run(session),
     }
+}
+
+/// Errors where a file that is to be written is one that is read, or a folder: before any work.
+fn check_outputs(outputs: &[&Path], inputs: &[&Path]) -> Result<(), Failure> {
+    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    for output in outputs {
+        if inputs.iter().any(|input| same(output, input)) {
+            return Err(Failure::new(format!("{}: the output would replace what it is made of", output.display()))
+                .help("give --output another name or folder"));
+        }
+        if output.is_dir() {
+            return Err(Failure::new(format!("{}: this is a folder; expected the name of a file", output.display()))
+                .help("give --output another name"));
+        }
+    }
+    Ok(())
+}
+
+/// Errors where a map is to have a side that no map can have.
+fn check_side(size: usize) -> Result<(), Failure> {
+    if (1..=LARGEST_SIDE).contains(&size) {
+        return Ok(());
+    }
+    Err(Failure::new(format!("--size is {size}; it must be at least 1 and at most {LARGEST_SIDE}")))
 }
 
 /// A capture folder, and what overrides its content.

@@ -10,7 +10,7 @@ use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
 use super::corrections::CorrectionArgs;
-use super::{CaptureArgs, Session};
+use super::{CaptureArgs, Session, check_outputs, check_side};
 use crate::device;
 use crate::failure::Failure;
 
@@ -42,9 +42,11 @@ struct Summary {
 impl Tbl {
     /// Builds and writes the texture.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        if self.size == 0 {
-            return Err(Failure::new("--size is 0; it must be at least 1"));
+        check_side(self.size)?;
+        if self.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("exr")) {
+            return Err(Failure::new(format!("{}: an HDR texture is written as .exr", self.output.display())));
         }
+        check_outputs(&[&self.output], &[])?;
         let mut capture = self.capture.load(session)?;
         self.corrections.apply(&mut capture, session)?;
         let scene = Scene::new(capture.mesh.clone())?;

@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 use serde_json::Value;
 use texir_core::glb::{Materials, Up, write_glb};
 use texir_core::image_io::read_rgb;
+use texir_core::lightmap::write_lightmap;
 use texir_core::mesh::Mesh;
 use texir_core::raster::{Gray, Rgb};
 
@@ -85,5 +86,17 @@ fn scenes_that_cannot_be_baked_say_why() {
     bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
     bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance"]);
     bake(&out, &["--max-memory", "1MiB"]).complains(&["max_memory is 1.0 MiB", "32×32", "raise it"]);
-    assert!(!out.exists());
+    assert!(!out.exists() && !out.with_extension("exr.partial").exists());
+    // What is read is not written over, and what cannot be written is told before the bake.
+    let sky = folder.path().join("sky.hdr");
+    write_lightmap(&sky, &Rgb::filled(8, 4, [1.0; 3])).unwrap();
+    let before = std::fs::read(&sky).unwrap();
+    bake(&sky, &["--environment", sky.to_str().unwrap()]).complains(&["sky.hdr", "replace", "--output"]);
+    assert!(before == std::fs::read(&sky).unwrap());
+    std::fs::create_dir(folder.path().join("taken.glb")).unwrap();
+    bake(&folder.path().join("taken.exr"), &[]).complains(&["taken.glb", "folder"]);
+    let large = ["--size".as_ref(), "20000".as_ref(), "-o".as_ref(), out.as_os_str()];
+    run(&[&["bake".as_ref(), scene.as_os_str()], &large[..]].concat()).complains(&["--size is 20000", "16384"]);
+    let nowhere = folder.path().join("nowhere.glb");
+    run(&["bake".as_ref(), nowhere.as_os_str()]).complains(&["nowhere.glb", "no such file"]);
 }

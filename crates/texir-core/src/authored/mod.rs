@@ -20,8 +20,9 @@ mod texture;
 pub use self::export::write_lightmapped_glb;
 pub use self::gltf::{Model, read_gltf};
 pub use self::solve::{Bounces, Solved, irradiance};
-use crate::bake;
+use crate::bake::{self, Texels};
 use crate::environment::Environment;
+use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
@@ -46,6 +47,27 @@ impl Surfaces {
         self.lights.is_empty()
             && black(&self.emission)
             && self.environment.as_ref().is_none_or(|environment| black(environment.radiance()))
+    }
+
+    /// Whether the maps have the size of the lightmap, and all numbers are possible.
+    pub fn check(&self, texels: &Texels<'_>) -> Result<()> {
+        let size = texels.size();
+        for (name, map) in [("albedo", &self.albedo), ("emission", &self.emission)] {
+            if [map.width, map.height] != size {
+                return Err(Error::invalid(format!(
+                    "the {name} map is {}×{} texels; expected {}×{} as the lightmap",
+                    map.width, map.height, size[0], size[1]
+                )));
+            }
+        }
+        let channel = |map: &Rgb, good: fn(&f32) -> bool| map.data.iter().flatten().all(good);
+        if !channel(&self.albedo, |v| (0.0..=1.0).contains(v)) {
+            return Err(Error::invalid("the albedo map leaves [0, 1]; expected linear reflectances"));
+        }
+        if !channel(&self.emission, |v| *v >= 0.0 && v.is_finite()) {
+            return Err(Error::invalid("the emission map is negative or not finite; expected radiance"));
+        }
+        self.lights.iter().try_for_each(PunctualLight::check)
     }
 
     /// What a bake of these surfaces depends on, with its `settings`.

@@ -56,7 +56,7 @@ pub fn irradiance(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solved> {
-    check(texels, surfaces)?;
+    surfaces.check(texels)?;
     let mut solver = Solver { backend, scene, texels, bounces, checkpoints, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
@@ -67,6 +67,9 @@ pub fn irradiance(
 
     let mut total = last.copy(texels)?;
     let mut series = vec![last.mean(texels, &total)?];
+    if !series[0].is_finite() {
+        return Err(Error::invalid("the scene's light is too strong for numbers; expected radiance below some 1e30"));
+    }
     let mut remainder = remainder_of(&series);
     for k in 1..=bounces.most {
         if remainder <= f64::from(bounces.tolerance) {
@@ -134,32 +137,29 @@ fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Result<Vec<[f32;
     Ok(sent)
 }
 
-/// What a series lacks as a share of its sum, if it goes on like its last two members: geometrically.
+/// What a series lacks as a share of all that it comes to, if it goes on like its last two members: geometrically.
 fn remainder_of(series: &[f64]) -> f64 {
     let sum: f64 = series.iter().sum();
     match series {
-        [.., before, last] if last < before => last * last / (before - last) / sum,
+        [.., before, last] if last < before => {
+            let left_out = last * last / (before - last);
+            left_out / (sum + left_out)
+        }
         [.., last] if *last == 0.0 => 0.0,
         _ => f64::INFINITY,
     }
 }
 
-fn check(texels: &Texels<'_>, surfaces: &Surfaces) -> Result<()> {
-    let size = texels.size();
-    for (name, map) in [("albedo", &surfaces.albedo), ("emission", &surfaces.emission)] {
-        if [map.width, map.height] != size {
-            return Err(Error::invalid(format!(
-                "the {name} map is {}×{} texels; expected {}×{} as the lightmap",
-                map.width, map.height, size[0], size[1]
-            )));
-        }
+#[cfg(test)]
+mod tests {
+    use super::remainder_of;
+
+    #[test]
+    fn what_is_left_out_is_a_share_of_all_light() {
+        // Halves of halves come to 2.
+        assert_eq!(remainder_of(&[1.0, 0.5]), 0.25);
+        assert_eq!(remainder_of(&[1.0, 0.5, 0.25]), 0.125);
+        assert_eq!(remainder_of(&[1.0, 0.0]), 0.0);
+        assert!(remainder_of(&[1.0]).is_infinite() && remainder_of(&[1.0, 1.0]).is_infinite());
     }
-    let channel = |map: &Rgb, good: fn(&f32) -> bool| map.data.iter().flatten().all(good);
-    if !channel(&surfaces.albedo, |v| (0.0..=1.0).contains(v)) {
-        return Err(Error::invalid("the albedo map leaves [0, 1]; expected linear reflectances"));
-    }
-    if !channel(&surfaces.emission, |v| *v >= 0.0 && v.is_finite()) {
-        return Err(Error::invalid("the emission map is negative or not finite; expected radiance"));
-    }
-    surfaces.lights.iter().try_for_each(PunctualLight::check)
 }

@@ -3,6 +3,7 @@
 use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 
+use crate::atlas::LARGEST_SIDE;
 use crate::backend::RoughnessGradient;
 use crate::brdf::Masking;
 use crate::camera::Camera;
@@ -11,8 +12,6 @@ use crate::error::{Error, Result};
 use crate::rng::hash2;
 use crate::specular_table::TableSampling;
 
-/// Largest side of the atlas, texels: beyond it, no graphics card holds the texture.
-const MAX_ATLAS: usize = 16_384;
 /// Rays per texel at the least: two halves, whose difference tells the noise, of two kinds.
 const LEAST_RAYS: u32 = 4;
 
@@ -555,7 +554,7 @@ impl FitSettings {
         let not_negative = |weight: f32| weight >= 0.0 && weight.is_finite();
         let within = |value: f32, range: [f32; 2]| value >= range[0] && value <= range[1];
         let checks: [Check; 21] = [
-            ("atlas_size", self.atlas_size as f32, self.atlas_size <= MAX_ATLAS, "at most 16384"),
+            ("atlas_size", self.atlas_size as f32, self.atlas_size <= LARGEST_SIDE, "at most 16384"),
             (
                 "irradiance_samples",
                 self.irradiance_samples as f32,

@@ -1,6 +1,6 @@
 //! `texir bake scene.glb`: all the light of an authored scene, and the scene with its lightmap's coordinates.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
@@ -15,9 +15,9 @@ use texir_core::progress::Progress;
 use texir_core::scene::Scene;
 
 use super::Bake;
-use crate::cmd::Session;
+use crate::cmd::{Session, check_outputs};
 use crate::device;
-use crate::failure::Failure;
+use crate::failure::{Context, Failure};
 
 /// Columns of the lightmap where `--size` does not say.
 const DEFAULT_SIZE: usize = 1024;
@@ -40,6 +40,13 @@ pub struct Authored {
     bounces: u32,
 }
 
+impl Authored {
+    /// The panorama of light from far away.
+    pub fn environment(&self) -> Option<&PathBuf> {
+        self.environment.as_ref()
+    }
+}
+
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Summary {
@@ -57,18 +64,14 @@ struct Summary {
     remainder: Option<f64>,
 }
 
-/// Bakes the scene that `bake.input` is.
-pub fn run(bake: &Bake, session: &Session<'_>) -> Result<(), Failure> {
+/// Bakes the scene that `bake.input` is; `read` are all files that it is made of.
+pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Failure> {
     let options = &bake.authored;
     if !(options.tolerance >= 0.0 && options.environment_nits >= 0.0 && options.environment_nits.is_finite()) {
         return Err(Failure::new("--tolerance and --environment-nits must be numbers of at least 0"));
     }
     let glb = bake.output.with_extension("glb");
-    let is_input = |path: &PathBuf| path.canonicalize().is_ok_and(|p| bake.input.canonicalize().is_ok_and(|i| i == p));
-    if is_input(&glb) {
-        return Err(Failure::new(format!("{}: the baked scene would replace its source", glb.display()))
-            .help("give --output another name or folder"));
-    }
+    check_outputs(&[&glb], read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
     let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), session.console)?;
     let [width, height] = model.size;
@@ -130,6 +133,7 @@ fn prepare(
 ) -> Result<(Texels<'static>, Surfaces), Failure> {
     let texels = Texels::map(backend, scene, model.size, workspace, session.console)?;
     let surfaces = model.surfaces(backend, &texels, environment)?;
+    surfaces.check(&texels).context(bake.input.display())?;
     if surfaces.is_dark() {
         return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(
             "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
