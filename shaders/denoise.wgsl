@@ -1,9 +1,9 @@
 // Denoising of irradiance by local regression, guided by two independent estimates of every point (the twin's module says how and
-// whence). Four passes: `smooth`, `measure` (noise), `regress`, `clean`.
+// whence). Five passes: `smooth_halves`, `measure_noise`, `regress`, `clean`, `conserve`.
 //
 // In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the cells that
-// they are searched in. Per point, `smooth`, `measure` and `clean` read about 150 others (32 bytes, and what those that are near
-// enough hold), `regress` some 400, of which about 200 enter its 6 × 6 systems, one for each half.
+// they are searched in. Per point, `regress` and `conserve` read some 400 others (32 bytes, and what those that are near enough
+// hold), of which about 200 enter the former's 6 × 6 systems, one for each half; the other passes read about 150.
 
 #import math
 #import sampling
@@ -67,6 +67,7 @@ struct DenoiseParams {
     miss_radius: f32,
     tolerance: f32,
     curvature: f32,
+    significant: f32,
     ridge: f32,
     same_way: f32,
     beside: f32,
@@ -87,6 +88,7 @@ const COLUMNS: u32 = 25u;
 @group(1) @binding(5) var<storage, read_write> noise: array<Noise>;
 @group(1) @binding(6) var<storage, read_write> fits: array<Fitted>;
 @group(1) @binding(7) var<storage, read_write> cleaned: array<vec4f>;
+@group(1) @binding(8) var<storage, read_write> conserved: array<vec4f>;
 
 fn owned_point(lane: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
     return params.first + linear_workgroup(workgroup, workgroups) * 64u + lane;
@@ -326,4 +328,48 @@ fn clean(
     let kept = select(0.0, signal / (signal + variance), signal > 0.0);
     let fit = (fits[i].a + fits[i].b) * 0.5;
     cleaned[i] = vec4f(fit + ((estimate.a + estimate.b) * 0.5 - fit) * kept, 0.0);
+}
+
+fn level_of(value: vec3f) -> f32 {
+    return max(square(value), params.tiny);
+}
+
+@compute @workgroup_size(64)
+fn conserve(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) workgroup: vec3u,
+    @builtin(num_workgroups) workgroups: vec3u,
+) {
+    let i = owned_point(lane, workgroup, workgroups);
+    if i >= params.end {
+        return;
+    }
+    let own = entries[i];
+    let apart = estimates[i].apart;
+    let value = cleaned[i].xyz;
+    let level = level_of(value);
+    // What texels of like brightness lost on average, and its squared standard error.
+    var lost = vec3f(0.0);
+    var weight = 0.0;
+    var squares = 0.0;
+    for (var column = 0u; column < COLUMNS; column++) {
+        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
+        for (var j = span.x; j < span.y; j++) {
+            let near = nearness(own, entries[j], params.radius * params.texel).w;
+            if near < 0.0 || estimates[j].apart != apart {
+                continue;
+            }
+            let other = estimates[j];
+            let there = cleaned[j].xyz;
+            let share = near * near * min(level, level_of(there)) / max(level, level_of(there));
+            let here = (other.a + other.b) * 0.5 - there;
+            lost += share * here;
+            weight += share;
+            squares += share * share * square(here);
+        }
+    }
+    lost /= weight;
+    let chance = squares / (weight * weight) * params.significant * params.significant;
+    let given = select(0.0, 1.0 - chance / square(lost), square(lost) > chance);
+    conserved[i] = vec4f(max(value + lost * given, vec3f(0.0)), 0.0);
 }

@@ -304,7 +304,7 @@ pub trait Backend {
     ) -> Result<Vec<[f32; 3]>>;
 
     /// Denoise: the mean of two independent gathers of irradiance at every point without most of its noise
-    /// ([`crate::denoise`]). What is further than some twelve texels from a point does not change a bit of its result.
+    /// ([`crate::denoise`]). What is further than some twenty texels from a point does not change a bit of its result.
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.

@@ -7,6 +7,9 @@
 //! Bitterli et al., "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings", EGSR 2016). And what
 //! both halves have beyond their fits is no noise: it stays, which keeps shadows too thin for the fit to see.
 //!
+//! Where few samples bring most of the light, what one half found is no more than noise to the other, and is lost. What texels of
+//! like brightness lose on average, as far as that is more than chance, is therefore given back to them.
+//!
 //! The pass is [`Backend::denoise`](crate::backend::Backend::denoise); this is what its implementations share.
 
 #[cfg(feature = "oidn")]
@@ -25,7 +28,7 @@ pub const NOISE_RADIUS: f32 = 3.2;
 /// Radius within which texels tell together what the fits miss, texels.
 pub const MISS_RADIUS: f32 = 2.5;
 /// How far away a point may be that has a say in what becomes of another, texels.
-pub(crate) const REACH: f32 = MISS_RADIUS + RADIUS + GUIDE_RADIUS;
+pub(crate) const REACH: f32 = RADIUS + MISS_RADIUS + RADIUS + GUIDE_RADIUS;
 /// Edge of the cells that neighbours are looked for in, texels.
 pub const CELL: f32 = RADIUS / 2.0;
 /// A neighbour's weight falls to a quarter where its difference beyond noise is this many times the noise.
@@ -33,6 +36,8 @@ pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share of the
 /// value. Noise makes the fit as linear as this lets it.
 pub const CURVATURE: f32 = 0.5;
+/// What is lost on average is given back as far as it is more than this many of its standard errors.
+pub const SIGNIFICANT: f32 = 2.0;
 /// The regression's ridge, as a share of the weight: keeps a fit along a line of texels solvable.
 pub const RIDGE: f32 = 1e-3;
 

@@ -85,6 +85,7 @@ fn host_structs_have_the_layout_of_their_wgsl() {
                 miss_radius,
                 tolerance,
                 curvature,
+                significant,
                 ridge,
                 same_way,
                 beside,

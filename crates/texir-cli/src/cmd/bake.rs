@@ -51,7 +51,7 @@ pub struct Bake {
     #[arg(long)]
     stderr: bool,
     /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them; best with --no-denoise, as
-    /// denoising takes most of what few rays find
+    /// denoising takes some of what few rays find
     #[arg(long)]
     cosine_only: bool,
     /// Leave the noise in: unbiased, for measuring and for many rays

@@ -206,7 +206,7 @@ fn strips() -> (Scene, Rgb) {
 
 /// In files, with few texels at a time.
 fn on_disk(folder: &Path) -> Workspace {
-    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(7000 * memory::POINT) }
+    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(8600 * memory::POINT) }
 }
 
 /// The map and its errors, made some rows at a time.

@@ -5,7 +5,9 @@ use rayon::prelude::*;
 
 use crate::brdf::basis;
 use crate::cholesky;
-use crate::denoise::{CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, TOLERANCE};
+use crate::denoise::{
+    CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
+};
 use crate::neighbours::{FAR, Neighbours};
 use crate::real::{Real, V3};
 
@@ -36,7 +38,8 @@ pub fn denoise<R: Real>(noisy: Noisy<'_>) -> Vec<[R; 3]> {
     let smoothed = search.each(|i| search.smoothed::<R>(i));
     let noise = search.each(|i| search.noise(i, &smoothed));
     let fits = search.each(|i| search.fits(i, &smoothed, &noise[i]));
-    search.each(|i| search.clean(i, &fits).0)
+    let cleaned = search.each(|i| search.clean(i, &fits));
+    search.each(|i| search.conserve(i, &cleaned).0)
 }
 
 /// The points, and who lies beside whom.
@@ -127,6 +130,25 @@ impl Search<'_> {
         let kept = if signal > R::of(0.0) { signal / (signal + noise) } else { R::of(0.0) };
         let fit = mean(fits[i]);
         fit + (mean(self.halves(i)) - fit) * kept
+    }
+
+    /// What was cleaned, with what it and its neighbours of like brightness lost on average.
+    fn conserve<R: Real>(&self, i: usize, cleaned: &[V3<R>]) -> V3<R> {
+        let level = |j: usize| square(cleaned[j]).max(R::of(TINY));
+        let (mut lost, mut weight, mut squares) = (V3::zero(), R::of(0.0), R::of(0.0));
+        for (j, _, near) in self.around::<R>(i, RADIUS) {
+            let near = near.max(R::of(0.0));
+            let alike = level(i).min(level(j)) / level(i).max(level(j));
+            let share = near * near * alike;
+            let here = mean(self.halves(j)) - cleaned[j];
+            lost = lost + here * share;
+            weight = weight + share;
+            squares = squares + share * share * square(here);
+        }
+        let lost = lost * (R::of(1.0) / weight);
+        let chance = squares / (weight * weight) * R::of(f64::from(SIGNIFICANT * SIGNIFICANT));
+        let given = if square(lost) > chance { R::of(1.0) - chance / square(lost) } else { R::of(0.0) };
+        (cleaned[i] + lost * given).map(|c| c.max(R::of(0.0)))
     }
 }
 
@@ -286,9 +308,24 @@ mod tests {
             let got = clean(&floor(), &halves, &[false; SIDE * SIDE]);
             let gathered: f32 = (0..got.len()).map(|i| (halves[0][i][0] + halves[1][i][0]) / 2.0).sum();
             let ratio = got.iter().map(|e| e[0]).sum::<f32>() / gathered;
-            assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+            assert!((ratio - 1.0).abs() < 0.006, "{ratio}");
             let spread = error(&got.iter().map(|e| e[0]).collect::<Vec<_>>(), &vec![1.0; got.len()], |_| true);
             assert!(spread < 0.12, "{spread} left of 0.31");
+        }
+    }
+
+    #[test]
+    fn light_that_few_samples_bring_is_not_lost() {
+        // Cosine samples under a small lamp: a hundredth of a half's texels found it, and bring nine tenths of the light.
+        for seed in [5u32, 9, 31, 77] {
+            let halves = [1u32, 2].map(|half| {
+                let rare = |i: usize| hash2(hash2(i as u32, seed), half) < u32::MAX / 100;
+                (0..SIDE * SIDE).map(|i| [if rare(i) { 90.0 } else { 0.1 }; 3]).collect()
+            });
+            let got = clean(&floor(), &halves, &[false; SIDE * SIDE]);
+            let gathered: f32 = (0..got.len()).map(|i| (halves[0][i][0] + halves[1][i][0]) / 2.0).sum();
+            let ratio = got.iter().map(|e| e[0]).sum::<f32>() / gathered;
+            assert!((0.7..1.05).contains(&ratio), "{ratio}");
         }
     }
 

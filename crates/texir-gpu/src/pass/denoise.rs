@@ -2,7 +2,9 @@
 
 use bytemuck::{Pod, Zeroable};
 use texir_core::cpu;
-use texir_core::denoise::{CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, TOLERANCE};
+use texir_core::denoise::{
+    CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
+};
 use texir_core::error::Result;
 use texir_core::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
 
@@ -10,7 +12,8 @@ use super::WORKGROUP;
 use crate::batch::Context;
 
 /// The passes, and about how many rays' time one takes of a point.
-const PASSES: [(&str, u32); 4] = [("smooth_halves", 4), ("measure_noise", 4), ("regress", 16), ("clean", 4)];
+const PASSES: [(&str, u32); 5] =
+    [("smooth_halves", 4), ("measure_noise", 4), ("regress", 16), ("clean", 4), ("conserve", 8)];
 
 /// Points that a thread of a software driver may look at: after 65,535 iterations of all its loops it silently ends.
 const MOST_LOOKED_AT: u64 = 65_000;
@@ -31,6 +34,7 @@ pub(crate) struct DenoiseParams {
     pub miss_radius: f32,
     pub tolerance: f32,
     pub curvature: f32,
+    pub significant: f32,
     pub ridge: f32,
     pub same_way: f32,
     pub beside: f32,
@@ -68,6 +72,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
         ("noise", pool.reserve(gpu, "denoise noise", 8 * count as u64)?),
         ("fits", pool.reserve(gpu, "denoise fits", 32 * count as u64)?),
         ("cleaned", pool.reserve(gpu, "denoise cleaned", 16 * count as u64)?),
+        ("conserved", pool.reserve(gpu, "denoise conserved", 16 * count as u64)?),
     ];
     for (entry, cost) in PASSES {
         let kernel = ctx.kernel("denoise", entry, None)?;
@@ -89,6 +94,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
                 miss_radius: MISS_RADIUS,
                 tolerance: TOLERANCE,
                 curvature: CURVATURE,
+                significant: SIGNIFICANT,
                 ridge: RIDGE,
                 same_way: SAME_WAY,
                 beside: BESIDE,
@@ -102,8 +108,8 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
             first = end;
         }
     }
-    let cleaned = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &on_device[5].1, count)?;
+    let conserved = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &on_device[6].1, count)?;
     let mut out = vec![[0.0; 3]; count];
-    entries.iter().zip(cleaned).for_each(|(entry, [r, g, b, _])| out[entry.index as usize] = [r, g, b]);
+    entries.iter().zip(conserved).for_each(|(entry, [r, g, b, _])| out[entry.index as usize] = [r, g, b]);
     Ok(out)
 }
