@@ -25,12 +25,15 @@ fn every_entry_point_composes_and_validates() {
     entries.sort();
     entries.dedup();
     let expected = [
+        "clean",
+        "conserve",
         "gather_cosine",
         "gather_lights",
         "gather_sky",
         "lookup",
         "lookup_vjp",
         "mean_target",
+        "measure_noise",
         "primary",
         "project",
         "punctual",
@@ -38,8 +41,10 @@ fn every_entry_point_composes_and_validates() {
         "radiance_loss",
         "reduce",
         "reduce_vjp",
+        "regress",
         "shade",
         "shade_vjp",
+        "smooth_halves",
         "specular_table",
         "texels",
     ];
