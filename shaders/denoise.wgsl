@@ -94,15 +94,22 @@ fn owned_point(lane: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
     return params.first + linear_workgroup(workgroup, workgroups) * 64u + lane;
 }
 
-// Offset of another point in shares of a search radius (metres), and 1 less its square: how near it is; negative where it is
-// too far or on another surface.
-fn nearness(own: Entry, other: Entry, radius: f32) -> vec4f {
+// The entries of a column of cells around a point: [x, y).
+fn span_of(own: Entry, column: u32) -> vec2u {
+    return spans[(own.cell - params.first_cell) * COLUMNS + column];
+}
+
+// Offset of point j in shares of a search radius (texels), and 1 less its square: how near it is; negative where it is too far, on
+// another surface, or apart from the own point.
+fn nearness(own: Entry, apart: u32, j: u32, radius_texels: f32) -> vec4f {
+    let other = entries[j];
+    let radius = radius_texels * params.texel;
     let offset = other.position - own.position;
     let same_surface = abs(dot(offset, own.normal)) < params.beside * radius
         && dot(own.normal, other.normal) > params.same_way
         && dot(offset, offset) < radius * radius;
     let at = offset / radius;
-    return vec4f(at, select(-1.0, max(1.0 - dot(at, at), 0.0), same_surface));
+    return vec4f(at, select(-1.0, max(1.0 - dot(at, at), 0.0), same_surface && estimates[j].apart == apart));
 }
 
 fn square(v: vec3f) -> f32 {
@@ -126,10 +133,10 @@ fn smooth_halves(
     var weight = 0.0;
     var squares = 0.0;
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
-        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
+        let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, entries[j], params.guide_radius * params.texel).w;
-            if near < 0.0 || estimates[j].apart != estimate.apart {
+            let near = nearness(own, estimate.apart, j, params.guide_radius).w;
+            if near < 0.0 {
                 continue;
             }
             let other = estimates[j];
@@ -161,10 +168,10 @@ fn measure_noise(
     var sum = 0.0;
     var weight = 0.0;
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
-        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
+        let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, entries[j], params.noise_radius * params.texel).w;
-            if near < 0.0 || estimates[j].apart != apart {
+            let near = nearness(own, apart, j, params.noise_radius).w;
+            if near < 0.0 {
                 continue;
             }
             let other = estimates[j];
@@ -262,10 +269,10 @@ fn regress(
     var a: Fit;
     var b: Fit;
     for (var column = 0u; column < COLUMNS; column++) {
-        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
+        let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, entries[j], params.radius * params.texel);
-            if near.w < 0.0 || estimates[j].apart != estimate.apart {
+            let near = nearness(own, estimate.apart, j, params.radius);
+            if near.w < 0.0 {
                 continue;
             }
             let other = estimates[j];
@@ -308,10 +315,10 @@ fn clean(
     var shared_part = 0.0;
     var variance = 0.0;
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
-        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
+        let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, entries[j], params.miss_radius * params.texel).w;
-            if near < 0.0 || estimates[j].apart != estimate.apart {
+            let near = nearness(own, estimate.apart, j, params.miss_radius).w;
+            if near < 0.0 {
                 continue;
             }
             let other = estimates[j];
@@ -353,10 +360,10 @@ fn conserve(
     var weight = 0.0;
     var squares = 0.0;
     for (var column = 0u; column < COLUMNS; column++) {
-        let span = spans[(own.cell - params.first_cell) * COLUMNS + column];
+        let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, entries[j], params.radius * params.texel).w;
-            if near < 0.0 || estimates[j].apart != apart {
+            let near = nearness(own, apart, j, params.radius).w;
+            if near < 0.0 {
                 continue;
             }
             let other = estimates[j];

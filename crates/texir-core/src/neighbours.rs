@@ -54,8 +54,9 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
         let (mut cells, mut starts) = (Vec::new(), Vec::new());
         let mut entries = Vec::with_capacity(points.len());
         for (&index, place) in order.iter().zip(0..) {
-            if cells.last() != Some(&cell_at(index)) {
-                cells.push(cell_at(index));
+            let cell = cell_at(index);
+            if cells.last() != Some(&cell) {
+                cells.push(cell);
                 starts.push(place);
             }
             let SurfacePoint { position, normal, .. } = points[index as usize];

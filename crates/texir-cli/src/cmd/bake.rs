@@ -120,7 +120,10 @@ impl Bake {
             .flatten()
             .map(PathBuf::as_path)
             .collect();
-        check_outputs(&[&self.output, &self.standard_error()], &read)?;
+        check_outputs(&[&self.output], &read)?;
+        if self.stderr {
+            check_outputs(&[&self.standard_error()], &read)?;
+        }
         if self.is_authored() {
             return authored::run(self, &read, session);
         }

@@ -135,10 +135,11 @@ impl Search<'_> {
     /// What was cleaned, with what it and its neighbours of like brightness lost on average.
     fn conserve<R: Real>(&self, i: usize, cleaned: &[V3<R>]) -> V3<R> {
         let level = |j: usize| square(cleaned[j]).max(R::of(TINY));
+        let own = level(i);
         let (mut lost, mut weight, mut squares) = (V3::zero(), R::of(0.0), R::of(0.0));
         for (j, _, near) in self.around::<R>(i, RADIUS) {
             let near = near.max(R::of(0.0));
-            let alike = level(i).min(level(j)) / level(i).max(level(j));
+            let alike = own.min(level(j)) / own.max(level(j));
             let share = near * near * alike;
             let here = mean(self.halves(j)) - cleaned[j];
             lost = lost + here * share;

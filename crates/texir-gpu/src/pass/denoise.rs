@@ -65,6 +65,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
     };
     let estimates: Vec<Estimate> = entries.iter().map(estimate).collect();
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
+    let conserved = pool.reserve(gpu, "denoise conserved", 16 * count as u64)?;
     let on_device = [
         ("entries", pool.upload(gpu, "denoise entries", entries)?),
         ("estimates", pool.upload(gpu, "denoise estimates", &estimates)?),
@@ -72,7 +73,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
         ("noise", pool.reserve(gpu, "denoise noise", 8 * count as u64)?),
         ("fits", pool.reserve(gpu, "denoise fits", 32 * count as u64)?),
         ("cleaned", pool.reserve(gpu, "denoise cleaned", 16 * count as u64)?),
-        ("conserved", pool.reserve(gpu, "denoise conserved", 16 * count as u64)?),
+        ("conserved", conserved.clone()),
     ];
     for (entry, cost) in PASSES {
         let kernel = ctx.kernel("denoise", entry, None)?;
@@ -108,7 +109,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
             first = end;
         }
     }
-    let conserved = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &on_device[6].1, count)?;
+    let conserved = ctx.pool.download::<[f32; 4]>(&ctx.gpu, &conserved, count)?;
     let mut out = vec![[0.0; 3]; count];
     entries.iter().zip(conserved).for_each(|(entry, [r, g, b, _])| out[entry.index as usize] = [r, g, b]);
     Ok(out)
