@@ -8,6 +8,7 @@
 
 mod blend;
 pub mod exposure;
+mod joined;
 mod photo;
 pub mod pose;
 mod sample;
@@ -30,6 +31,7 @@ use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 use blend::Best;
+use joined::Joined;
 use photo::Photo;
 use sample::Sampler;
 
@@ -172,7 +174,8 @@ impl Fusion<'_> {
         given: Option<&Tbl>,
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
-        let Separated { limit, dark } = self.separate_sources(backend, load, &mut radiance)?;
+        let joined = Joined::new(&scene.mesh);
+        let Separated { limit, dark } = self.separate_sources(backend, load, &joined, &mut radiance)?;
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
             let filled = given.filter(|tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted);
@@ -181,7 +184,7 @@ impl Fusion<'_> {
         let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
         let mut known = seen.clone();
         dark.into_iter().for_each(|texel| known[texel] = true);
-        unseen::shine(&scene.mesh, atlas, limit, &known, &mut radiance);
+        unseen::shine(&scene.mesh, &joined, atlas, limit, &known, &mut radiance);
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
             radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
@@ -226,9 +229,10 @@ impl Fusion<'_> {
         &self,
         backend: &mut dyn Backend,
         load: &mut dyn FnMut(usize) -> Result<Photo>,
+        joined: &Joined,
         radiance: &mut [Option<[f32; 3]>],
     ) -> Result<Separated> {
-        let found = sources::resolve(self, backend, load, radiance)?;
+        let found = sources::resolve(self, backend, load, joined, radiance)?;
         let mut beside = Vec::new();
         let triangle = |texel: usize| self.atlas.points[texel].triangle;
         let mut dark_parts: HashMap<u32, f32> = HashMap::new();
