@@ -303,7 +303,7 @@ fn explain_parts(
     }
     let dim = |t: u32| match (parts[t as usize], start[t as usize]) {
         (Place::Resolved, Some(start)) => start,
-        (_, Some(start)) => start * (limit / mean(start).max(limit)),
+        (_, Some(start)) => start * (limit / mean(start).max(limit).max(BLACK)),
         (_, None) => Vec3::ZERO,
     };
     let of_parts = |row: usize| {
@@ -406,5 +406,17 @@ mod tests {
         // Negative control: texel by texel from the blend.
         let [face, rim] = resolved(&blended);
         assert!(rim > 10.0, "face {face}, rim {rim}");
+    }
+
+    #[test]
+    fn black_stays_black() {
+        let tap = |texel| Tap { texel, weight: 0.5 };
+        let rows = Rows::from_lists([vec![tap(0), tap(1)]]);
+        let black = vec![Some(Vec3::ZERO); 2];
+        let start = explain_parts(&rows, &[Vec3::ZERO], black, &[Place::Part(7), Place::Beside], 0.0);
+        assert!(
+            start.iter().flatten().all(|radiance| radiance.max_element() < 1e-3 && radiance.is_finite()),
+            "{start:?}"
+        );
     }
 }
