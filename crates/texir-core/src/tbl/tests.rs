@@ -336,12 +336,12 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     let shine = |p: Vec3, _: Vec3| if lamp(p) { [100.0; 3] } else { [0.5; 3] };
     let place = |k: usize| Vec3::new(0.5 + 0.25 * k as f32, -2.0, 1.0 + 0.2 * (k % 3) as f32);
     let cameras: Vec<Camera> = (0..12).map(|k| Camera { width: 256, height: 128, ..panorama(place(k), 0.3) }).collect();
-    // Images are off by up to 10 %.
+    // Images are off by up to 20 %.
     let noisy = |(view, camera): (usize, &Camera)| {
         let mut image = filtered_photograph(&scene, camera, shine);
         image.data.iter_mut().enumerate().for_each(|(i, pixel)| {
             let noise = crate::rng::hash2(i as u32, view as u32) as f32 / u32::MAX as f32 - 0.5;
-            *pixel = pixel.map(|v| v * (1.0 + 0.2 * noise));
+            *pixel = pixel.map(|v| v * (1.0 + 0.4 * noise));
         });
         image
     };
@@ -366,7 +366,7 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
         sources::explain_around(&fusion, &mut backend, &mut load, &blended, (&bright, &Joined::new(&scene.mesh)))
             .unwrap();
     let mistaken = once.texels.iter().zip(&once.radiance).filter(|(t, r)| is_wall(**t as usize) && r.x > limit).count();
-    assert!(mistaken > 0 && shining == 0, "{shining} texels of the wall shine, {mistaken} without reviews");
+    assert!(mistaken > 5 && shining == 0, "{shining} texels of the wall shine, {mistaken} without reviews");
 }
 
 #[test]
