@@ -45,7 +45,7 @@ pub struct Common {
     /// Say more
     #[arg(short, long, global = true)]
     pub verbose: bool,
-    /// Say only what went wrong
+    /// Say only what came out and what went wrong
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
     /// Print results as JSON on standard output

@@ -63,6 +63,12 @@ impl PunctualLight {
         if finite && positive {
             return Ok(());
         }
-        Err(Error::invalid(format!("{self:?}: expected finite numbers, intensity and range positive")))
+        Err(Error::invalid(format!(
+            "its intensity, by its colour, is {:?}, its range {}, its place {:?}; expected finite numbers, intensity and range \
+             positive",
+            self.intensity,
+            1.0 / self.inverse_range,
+            self.position
+        )))
     }
 }

@@ -13,7 +13,7 @@ use texir_core::bake::{self, Buried, Denoiser, Quality, Solution, Texels, Worksp
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::error::Error;
-use texir_core::image_io::{Rows, write_gray};
+use texir_core::image_io::{BRIGHTEST_HALF, Rows, write_gray};
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
@@ -127,10 +127,10 @@ impl Bake {
         if self.is_authored() {
             return authored::run(self, &read, session);
         }
-        if self.authored.environment().is_some() {
-            return Err(Failure::new(
-                "--environment lights authored scenes alone; a capture's HDR texture has all its light",
-            )
+        if let Some(option) = self.authored.given() {
+            return Err(Failure::new(format!(
+                "{option} is for authored scenes alone; a capture's HDR texture has all its light"
+            ))
             .help("leave it out"));
         }
         let (scene, given) = self.load(session)?;
@@ -199,6 +199,7 @@ impl Bake {
     /// Writes the map, and what `--stderr` asks for, some rows at a time.
     fn write(&self, solution: &Solution, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
         let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
+        let ends_at_half = self.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ktx2"));
         console.start("map", (size[0] * size[1]) as u64, "texels");
         let map = Rows::new(size, |rows| {
             console.check()?;
@@ -209,7 +210,15 @@ impl Bake {
                     "some of the light is too strong for numbers; expected radiance below some 1e30",
                 ));
             }
-            Ok(irradiance.into_iter().map(|e| e.map(|v| v * scale)).collect())
+            let texels: Vec<[f32; 3]> = irradiance.into_iter().map(|e| e.map(|v| v * scale)).collect();
+            if ends_at_half && texels.iter().flatten().any(|v| *v > BRIGHTEST_HALF) {
+                console.warn(&format!(
+                    "{}: some texels are brighter than {BRIGHTEST_HALF}, where the half floats of .ktx2 end, and take that; write \
+                     .exr, or scale the scene's light down",
+                    self.output.display()
+                ));
+            }
+            Ok(texels)
         });
         let written = lightmap::write_lightmap(&self.output, map);
         console.check()?;

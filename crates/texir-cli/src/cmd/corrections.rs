@@ -2,12 +2,16 @@
 
 use clap::Args;
 use texir_core::capture::{Capture, Corrections, Split, View};
+use texir_core::progress::Progress;
 use texir_core::scene::Scene;
-use texir_core::tbl::{exposure, pose};
+use texir_core::tbl::{blur, exposure, pose};
 
 use super::Session;
 use crate::device;
 use crate::failure::Failure;
+
+/// Narrower point spreads, square pixels, are not told from none.
+const SHARP: f32 = 0.06;
 
 /// Corrections of the training views.
 #[derive(Debug, Args)]
@@ -18,13 +22,16 @@ pub struct CorrectionArgs {
     /// Bring the training views to one exposure and white balance first
     #[arg(long)]
     solve_exposure: bool,
+    /// Undo the blur of the training views' images first, as wide as views of one surface from near and from far show it to be
+    #[arg(long)]
+    sharpen: bool,
 }
 
 impl CorrectionArgs {
-    /// Corrects the views, exposure first: poses are found by comparing radiance. An HDR texture of the capture is dropped,
+    /// Corrects the views, exposure first: poses are found by comparing radiance, and blur by comparing what is in place. An HDR texture of the capture is dropped,
     /// because it was made of the views as they were. Returns what was corrected; `None` when nothing is asked for.
     pub fn apply(&self, capture: &mut Capture, session: &Session<'_>) -> Result<Option<Corrections>, Failure> {
-        if !self.solve_exposure && !self.refine_poses {
+        if !self.solve_exposure && !self.refine_poses && !self.sharpen {
             return Ok(None);
         }
         capture.tbl = None;
@@ -50,6 +57,30 @@ impl CorrectionArgs {
                 view.camera.world_from_camera = pose;
             }
         }
+        if self.sharpen {
+            let measured = blur::measure(backend.as_mut(), &scene, &views(&training), session.console)?;
+            let blur = self.blur(measured, session);
+            training.iter_mut().for_each(|view| view.blur = blur);
+        }
         Ok(Some(Corrections::of(capture)))
+    }
+    /// How much of the blur that was measured is undone, square pixels.
+    fn blur(&self, measured: Option<f32>, session: &Session<'_>) -> f32 {
+        let Some(measured) = measured else {
+            session
+                .console
+                .warn("--sharpen: too few surfaces are seen from near and from far; the views stay as they are");
+            return 0.0;
+        };
+        let width = format!("a point spread of {measured:.2} square pixels beyond a pixel");
+        if measured < SHARP {
+            session.console.note(&format!("{width}: the images are sharp, and stay as they are"));
+            return 0.0;
+        }
+        session.console.note(&format!("{width}, which is undone"));
+        if measured > blur::WIDEST {
+            session.console.warn(&format!("{width} is more than can be undone: reduce the images by averaging"));
+        }
+        measured.min(blur::WIDEST)
     }
 }

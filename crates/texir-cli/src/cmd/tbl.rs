@@ -43,6 +43,10 @@ impl Tbl {
     /// Builds and writes the texture.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         check_side(self.size)?;
+        if self.capture.tbl.is_some() {
+            return Err(Failure::new("--tbl names an HDR texture, which is what this command makes of the views")
+                .help("leave it out; --output says where the texture goes"));
+        }
         if self.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("exr")) {
             return Err(Failure::new(format!("{}: an HDR texture is written as .exr", self.output.display())));
         }

@@ -1,6 +1,8 @@
 //! What cannot be used is refused with its file, its field and a way out, before anything is written. What can be repaired
 //! is, loudly.
 
+use std::ffi::OsStr;
+
 use serde_json::{Value, json};
 use texir_core::image_io::{read_rgb, write_png_labels, write_rgb};
 use texir_core::raster::{Labels, Rgb};
@@ -162,6 +164,26 @@ fn no_texels_and_no_samples() {
         let said = run(&[&[command, "out", "--spp", "0"], more].concat());
         assert_eq!(said.code, Some(2), "{command}: {said:#?}");
         said.complains(&["--spp", "0 is not in 1.."]);
+    }
+}
+
+#[test]
+fn options_that_would_do_nothing() {
+    let capture = Capture::new();
+    let (input, out) = (capture.path(), capture.out("out.exr"));
+    let texture = capture.file("mesh.obj");
+    let cases: [(&str, &str, &OsStr); 4] = [
+        ("tbl", "--tbl", texture.as_os_str()),
+        ("bake", "--bounces", "2".as_ref()),
+        ("bake", "--tolerance", "0.1".as_ref()),
+        ("bake", "--environment", texture.as_os_str()),
+    ];
+    for (command, option, value) in cases {
+        let how = [command.as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str(), option.as_ref(), value];
+        let said = run(&how);
+        assert_eq!(said.code, Some(1), "{command} {option}: {said:#?}");
+        said.complains(&[option, "leave it out"]);
+        assert_eq!(capture.outputs(), [""; 0]);
     }
 }
 

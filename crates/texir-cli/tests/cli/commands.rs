@@ -124,11 +124,13 @@ fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
     let dim = capture.file("hdr/b.exr");
     let image = read_rgb(&dim).unwrap().map(|rgb| rgb.map(|l| 0.4 * l));
     write_rgb(&dim, &image).unwrap();
-    let fitted = succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--json", "--solve-exposure"]));
+    let fitted = succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--json", "--solve-exposure", "--sharpen"]));
+    fitted.complains(&["sharp"]);
     let stored = json(&std::fs::read_to_string(out.join("corrections.json")).unwrap());
     let scale = |view: &str| stored[view]["scale"][0].as_f64().unwrap();
     assert!((scale("b") / scale("a") - 2.5).abs() < 0.2, "{stored}");
     assert!(stored.get("novel").is_none() && stored["a"]["transform_matrix"][3][3] == 1.0, "{stored}");
+    assert_eq!(stored["b"]["blur"], 0.0, "the images are as sharp as their pixels");
     let psnr = |text: &str| json(text).pointer("/result/train/image/psnr").unwrap().as_f64().unwrap();
     let evaluate = ["eval".as_ref(), out.as_os_str(), "--json".as_ref(), "--backend".as_ref(), "cpu".as_ref()];
     let evaluated = psnr(&succeed(&evaluate).out);
@@ -140,6 +142,9 @@ fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
     // What somebody wrote there by hand is checked.
     std::fs::write(out.join("corrections.json"), r#"{"b": {"scale": [1, 0, 1], "transform_matrix": []}}"#).unwrap();
     run(&evaluate).complains(&["corrections.json", "view \"b\"", "scale [1.0, 0.0, 1.0]", "positive"]);
+    let blurred = r#"{"b": {"scale": [1, 1, 1], "blur": 7, "transform_matrix": []}}"#;
+    std::fs::write(out.join("corrections.json"), blurred).unwrap();
+    run(&evaluate).complains(&["corrections.json", "view \"b\"", "blur 7", "square pixels"]);
 }
 
 #[test]
@@ -423,6 +428,6 @@ fn a_bake_within_a_budget_has_the_bits_of_one_without() {
 
     let refused = bake(&capture.out("small.exr"), &["--max-memory", "20MiB"]);
     assert_eq!(refused.code, Some(1), "{refused:#?}");
-    refused.complains(&["max_memory is 20.0 MiB", "needs about", "raise it"]);
+    refused.complains(&["limit of memory is 20.0 MiB", "needs about", "raise it"]);
     assert!(!capture.out("small.exr").exists() && !capture.out("small.exr.partial").exists());
 }

@@ -162,6 +162,7 @@ impl Room {
                 split: if *name == "novel" { Split::Novel } else { Split::Train },
                 image: file("hdr", "exr"),
                 scale: [1.0; 3],
+                blur: 0.0,
                 reduction: 1,
                 semantic: Some(file("semantic", "png")),
                 classes: None,

@@ -49,7 +49,7 @@ pub fn keep_within(
     let least = ByteSize(beside + FEWEST * POINT);
     if least > limit {
         return Err(Error::invalid(format!(
-            "max_memory is {limit}, but a bake of any size with {} triangles and an HDR texture of {radiance} texels needs about \
+            "the limit of memory is {limit}, but a bake of any size with {} triangles and an HDR texture of {radiance} texels needs about \
              {least}: raise it",
             mesh.triangles.len()
         )));
@@ -80,7 +80,7 @@ pub fn keep_bounces_within(
     let largest = (width.max(height) as f64 * share.sqrt()) as usize / 64 * 64;
     let advice = if largest > 0 { format!("raise it, or bake {largest} texels a side") } else { "raise it".into() };
     Err(Error::invalid(format!(
-        "max_memory is {limit}, but all the light of a scene with {} triangles on a map of {width}×{height} texels needs about \
+        "the limit of memory is {limit}, but all the light of a scene with {} triangles on a map of {width}×{height} texels needs about \
          {least}: {advice}",
         mesh.triangles.len()
     )))

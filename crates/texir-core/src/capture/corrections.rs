@@ -11,6 +11,7 @@ use super::{Capture, Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use crate::tbl::blur;
 
 /// Corrected views by name, as JSON.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -22,15 +23,19 @@ pub struct Corrections(BTreeMap<String, Correction>);
 struct Correction {
     /// [`View::scale`].
     scale: [f32; 3],
+    /// [`View::blur`].
+    #[serde(default)]
+    blur: f32,
     /// Camera to world, as `transforms.json` has it.
     transform_matrix: Vec<Vec<f64>>,
 }
 
 impl Corrections {
-    /// Exposure and pose of the training views as they are now.
+    /// Exposure, blur and pose of the training views as they are now.
     pub fn of(capture: &Capture) -> Self {
         let correction = |view: &View| Correction {
             scale: view.scale,
+            blur: view.blur,
             transform_matrix: pose::to_rows(view.camera.world_from_camera),
         };
         Self(capture.views(Split::Train).map(|view| (view.name.clone(), correction(view))).collect())
@@ -44,14 +49,21 @@ impl Corrections {
                 unknown.push(name);
                 continue;
             };
-            let Correction { scale, transform_matrix } = correction;
+            let Correction { scale, blur, transform_matrix } = correction;
             if !scale.iter().all(|s| s.is_finite() && *s > 0.0) {
                 return Err(Error::invalid(format!(
                     "the correction of view {name:?} has the scale {scale:?}; expected three positive numbers"
                 )));
             }
+            if !(0.0..=blur::WIDEST).contains(blur) {
+                return Err(Error::invalid(format!(
+                    "the correction of view {name:?} has the blur {blur}; expected 0 to {} square pixels",
+                    blur::WIDEST
+                )));
+            }
             let wrong = |e| Error::invalid(format!("the correction of view {name:?}: transform_matrix {e}"));
             view.scale = *scale;
+            view.blur = *blur;
             view.camera.world_from_camera = pose::from_rows(transform_matrix).map_err(wrong)?.as_mat4();
         }
         if let Some(first) = unknown.first() {

@@ -27,9 +27,8 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
     if !root.is_dir() {
         return Err(Error::file(&root, "is no folder; expected a capture: transforms.json, a mesh and its images"));
     }
-    if !root.join("transforms.json").exists()
-        && let Ok(importer) = import::detect(&root, None)
-    {
+    if !root.join("transforms.json").exists() {
+        let importer = import::detect(&root, None)?;
         let what = format!("is no capture yet, but files of {}; make a capture of it: `texir import`", importer.name());
         return Err(Error::file(&root, what));
     }

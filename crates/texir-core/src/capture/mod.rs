@@ -8,6 +8,7 @@ mod load;
 pub mod nerfstudio;
 mod pose;
 pub mod segment;
+mod sharpen;
 mod tbl_file;
 mod view;
 
@@ -46,6 +47,9 @@ pub struct View {
     /// What the image's radiance is multiplied with, per channel: 1, unless exposures were solved for
     /// ([`crate::tbl::exposure`]).
     pub scale: [f32; 3],
+    /// Variance of the images' point spread beyond that of a pixel, square pixels of the file along each axis, which
+    /// [`View::load_image`] undoes: 0, unless it was measured ([`crate::tbl::blur`]).
+    pub blur: f32,
     /// Pixels of the files along the edge of a pixel of the view: 1, unless it was [reduced](View::reduced).
     pub reduction: usize,
     /// Semantic class per pixel; 0 is "unknown".

@@ -127,6 +127,7 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
             split: splits.of(&place, frame)?,
             image: folder.join(&frame.file_path),
             scale: [1.0; 3],
+            blur: 0.0,
             reduction: 1,
             semantic: local(&frame.semantic_path),
             classes: classes.clone(),

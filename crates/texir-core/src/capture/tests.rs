@@ -68,6 +68,7 @@ fn views(root: &Path) -> Vec<View> {
         split: if i < 2 { Split::Train } else { Split::Novel },
         image: root.join(format!("hdr/view_{i}.exr")),
         scale: [1.0; 3],
+        blur: 0.0,
         reduction: 1,
         semantic: Some(root.join(format!("semantic/view_{i}.png"))),
         classes: None,

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use super::sharpen::sharpen;
 use super::{Split, View};
-use crate::camera::Camera;
+use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::image_io::{self, read_gray, read_labels, read_mask, read_rgb, sanitise_radiance};
 use crate::progress::Progress;
@@ -19,6 +20,7 @@ impl View {
             split,
             image,
             scale: [1.0; 3],
+            blur: 0.0,
             reduction: 1,
             semantic,
             classes: None,
@@ -38,7 +40,7 @@ impl View {
         Some(Self { camera, reduction: self.reduction * factor, ..self.clone() })
     }
 
-    /// The radiance, linear, times [`View::scale`]. Pixels with a channel that is NaN or infinite are unknown and NaN in all
+    /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or infinite are unknown and NaN in all
     /// channels, negative channels are 0, and a warning says how many.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         self.image_with(f32::NAN, progress)
@@ -50,13 +52,18 @@ impl View {
     }
 
     fn image_with(&self, unknown: f32, progress: &dyn Progress) -> Result<Rgb> {
-        let mut image = self.sized(&self.image, read_rgb(&self.image)?, mean)?;
-        let found = sanitise_radiance(&mut image, unknown);
+        let mut image = read_rgb(&self.image)?;
+        let found = sanitise_radiance(&mut image, f32::NAN);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", self.image.display()));
         }
+        if self.blur > 0.0 {
+            sharpen(&mut image, self.blur, self.camera.projection == Projection::Equirectangular);
+        }
+        let mut image = self.sized(&self.image, image, mean)?;
         for radiance in &mut image.data {
-            *radiance = std::array::from_fn(|c| radiance[c] * self.scale[c]);
+            let known = radiance.iter().all(|v| v.is_finite());
+            *radiance = std::array::from_fn(|c| if known { radiance[c] * self.scale[c] } else { unknown });
         }
         Ok(image)
     }

@@ -46,6 +46,7 @@ fn write_view(rendered: &Rendered, folder: &Path) -> Result<View> {
         split: shot.split,
         image: file("hdr", "exr"),
         scale: [1.0; 3],
+        blur: 0.0,
         reduction: 1,
         semantic: Some(file("semantic", "png")),
         classes: None,

@@ -79,6 +79,7 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
             split,
             image: file("image.exr"),
             scale: [1.0; 3],
+            blur: 0.0,
             reduction: 1,
             semantic: None,
             classes: None,

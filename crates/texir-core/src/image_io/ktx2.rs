@@ -11,8 +11,10 @@ use super::Rows;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 
-/// Writes linear RGB as uncompressed R16G16B16A16_SFLOAT, one level, alpha 1. Beyond 65504 a half float ends: brighter
-/// values take that one.
+/// The largest half float.
+pub const BRIGHTEST_HALF: f32 = 65504.0;
+
+/// Writes linear RGB as uncompressed R16G16B16A16_SFLOAT, one level, alpha 1. Values above [`BRIGHTEST_HALF`] take that one.
 pub fn write_ktx2<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
     const FORMAT: Format = Format::R16G16B16A16_SFLOAT;
     const TEXEL_BYTES: usize = 8;
@@ -46,7 +48,7 @@ pub fn write_ktx2<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> 
     };
     let level =
         LevelIndex { byte_offset: texels_at as u64, byte_length: texel_bytes, uncompressed_byte_length: texel_bytes };
-    let half = |v: f32| f16::from_f32(v.min(f16::MAX.to_f32())).to_le_bytes();
+    let half = |v: f32| f16::from_f32(v.min(BRIGHTEST_HALF)).to_le_bytes();
     let head: [&[u8]; 5] = [
         &header.as_bytes(),
         &level.as_bytes(),
@@ -83,7 +85,7 @@ mod tests {
         let half = |i: usize| f16::from_le_bytes([level.data[2 * i], level.data[2 * i + 1]]).to_f32();
         assert_eq!(level.data.len(), 6 * 8);
         for i in 0..6 {
-            assert_eq!([half(4 * i), half(4 * i + 1), half(4 * i + 3)], [i as f32 * 0.25, 65504.0, 1.0]);
+            assert_eq!([half(4 * i), half(4 * i + 1), half(4 * i + 3)], [i as f32 * 0.25, BRIGHTEST_HALF, 1.0]);
             assert!((half(4 * i + 2) - 0.1).abs() < 1e-4);
         }
     }

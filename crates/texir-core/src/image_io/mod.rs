@@ -19,7 +19,7 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 pub use self::encoded::{Encoded, TransferCurve, is_encoded, read_encoded};
 pub use self::exr::{write_gray, write_rgb};
 pub use self::hdr::{encode_hdr, write_hdr};
-pub use self::ktx2::write_ktx2;
+pub use self::ktx2::{BRIGHTEST_HALF, write_ktx2};
 pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
 pub use self::rows::Rows;
 use crate::error::{Error, Result};

@@ -7,6 +7,7 @@
 //! one at a time; memory is bounded by the atlas and a band of it.
 
 mod blend;
+pub mod blur;
 pub mod exposure;
 mod joined;
 mod photo;

@@ -664,3 +664,42 @@ fn small_errors_of_poses_are_lessened() {
     let (before, after) = (off(&cameras), off(&refined));
     assert!(after.0 < 0.5 * before.0 && after.1 < 0.5 * before.1, "poses were off by {before:?}, are by {after:?}");
 }
+
+#[test]
+fn blur_is_told_from_reflections_and_exposure() {
+    let scene = Scene::new(room()).unwrap();
+    let cameras = many_cameras();
+    // 17 cm from crest to crest, a floor that mirrors, and exposures that differ.
+    let fine = |p: Vec3, to_camera: Vec3| {
+        let gloss = if to_camera.z > 0.8 && p.z < 0.01 { 1.5 } else { 1.0 };
+        pattern(p * 4.0).map(|l| gloss * l)
+    };
+    let mean = |pixels: &[[f32; 3]]| [0, 1, 2].map(|c| pixels.iter().map(|p| p[c]).sum::<f32>() / pixels.len() as f32);
+    let photo = |(i, camera): (usize, &Camera)| {
+        let image = photograph(&scene, &camera.supersampled(4), fine).reduced(4, mean);
+        image.map(|l| l.map(|l| l * (1.0 + 0.1 * i as f32)))
+    };
+    let sharp: Vec<Rgb> = cameras.iter().enumerate().map(photo).collect();
+    let spread = |image: &Rgb| {
+        let along = |image: &Rgb, dx: f64, dy: f64| {
+            let read = |i: usize, k: f64| {
+                let place = glam::DVec2::new((i % image.width) as f64 + 0.5, (i / image.width) as f64 + 0.5);
+                image.data[image.around(place + k * glam::DVec2::new(dx, dy), true)[0].0]
+            };
+            let of_pixel = |i| {
+                let [a, b, c] = [read(i, -1.0), read(i, 0.0), read(i, 1.0)];
+                [0, 1, 2].map(|k| (a[k] + 10.0 * b[k] + c[k]) / 12.0)
+            };
+            Rgb { data: (0..image.data.len()).map(of_pixel).collect(), ..*image }
+        };
+        along(&along(image, 1.0, 0.0), 0.0, 1.0)
+    };
+    let blurred: Vec<Rgb> = sharp.iter().map(spread).collect();
+    let measure = |images: &[Rgb], cameras: &[Camera]| {
+        let load = |i: usize| Ok(Photo::new(images[i].clone(), None));
+        blur::measure_photos(&mut CpuBackend::new(&scene), &scene, cameras, load, &Silent).unwrap()
+    };
+    let [before, after] = [&sharp, &blurred].map(|images| measure(images, &cameras).unwrap());
+    assert!(before < 0.03 && (after - 1.0 / 6.0).abs() < 0.03, "{before} of sharp images, {after} of blurred ones");
+    assert_eq!(measure(&sharp[..1], &cameras[..1]), None);
+}

@@ -21,6 +21,10 @@ use crate::failure::{Context, Failure};
 
 /// Columns of the lightmap where `--size` does not say.
 const DEFAULT_SIZE: usize = 1024;
+/// Share of all light that may be left out, where `--tolerance` does not say.
+const TOLERANCE: f32 = 0.005;
+/// Most bounces, where `--bounces` does not say.
+const BOUNCES: u32 = 64;
 
 /// Arguments for scenes with lights of their own.
 #[derive(Debug, Args)]
@@ -32,18 +36,28 @@ pub struct Authored {
     /// Luminance that 1 in the environment stands for, nits
     #[arg(long, value_name = "NITS", default_value_t = 1.0, requires = "environment")]
     environment_nits: f32,
-    /// Stop when further bounces would add less than this share of all light
-    #[arg(long, value_name = "SHARE", default_value_t = 0.005)]
-    tolerance: f32,
-    /// Stop after N bounces even so; 0 bakes direct light alone
-    #[arg(long, value_name = "N", default_value_t = 64)]
-    bounces: u32,
+    /// Stop when further bounces would add less than this share of all light [default: 0.005]
+    #[arg(long, value_name = "SHARE")]
+    tolerance: Option<f32>,
+    /// Stop after N bounces even so; 0 bakes direct light alone [default: 64]
+    #[arg(long, value_name = "N")]
+    bounces: Option<u32>,
 }
 
 impl Authored {
     /// The panorama of light from far away.
     pub fn environment(&self) -> Option<&PathBuf> {
         self.environment.as_ref()
+    }
+
+    /// An option that was given.
+    pub fn given(&self) -> Option<&'static str> {
+        let given = [
+            ("--environment", self.environment.is_some()),
+            ("--tolerance", self.tolerance.is_some()),
+            ("--bounces", self.bounces.is_some()),
+        ];
+        given.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
 }
 
@@ -67,7 +81,8 @@ struct Summary {
 /// Bakes the scene that `bake.input` is; `read` are all files that it is made of.
 pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Failure> {
     let options = &bake.authored;
-    if !(options.tolerance >= 0.0 && options.environment_nits >= 0.0 && options.environment_nits.is_finite()) {
+    let tolerance = options.tolerance.unwrap_or(TOLERANCE);
+    if !(tolerance >= 0.0 && options.environment_nits >= 0.0 && options.environment_nits.is_finite()) {
         return Err(Failure::new("--tolerance and --environment-nits must be numbers of at least 0"));
     }
     let glb = bake.output.with_extension("glb");
@@ -84,7 +99,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let prepared = prepare(backend.as_mut(), &scene, &model, environment, workspace, (bake, session));
     // Nothing is kept yet: a folder that is there for files without a name is empty.
     let (texels, surfaces) = prepared.inspect_err(|_| drop(std::fs::remove_dir(bake.partial())))?;
-    let bounces = Bounces { quality: bake.quality(session)?, tolerance: options.tolerance, most: options.bounces };
+    let bounces = Bounces { quality: bake.quality(session)?, tolerance, most: options.bounces.unwrap_or(BOUNCES) };
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
     let solved =
