@@ -10,9 +10,6 @@ use super::Session;
 use crate::device;
 use crate::failure::Failure;
 
-/// Narrower point spreads, square pixels, are not told from none.
-const SHARP: f32 = 0.06;
-
 /// Corrections of the training views.
 #[derive(Debug, Args)]
 pub struct CorrectionArgs {
@@ -73,7 +70,7 @@ impl CorrectionArgs {
             return 0.0;
         };
         let width = format!("a point spread of {measured:.2} square pixels beyond a pixel");
-        if measured < SHARP {
+        if measured < blur::SHARP {
             session.console.note(&format!("{width}: the images are sharp, and stay as they are"));
             return 0.0;
         }

@@ -17,6 +17,7 @@ use texir_core::image_io::is_encoded;
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
 use texir_core::scene::Scene;
+use texir_core::tbl::blur;
 
 use super::import::SourceArgs;
 use super::{CaptureArgs, Session, overlay};
@@ -53,6 +54,9 @@ struct Findings {
     atlas: AtlasFindings,
     views: Vec<ViewFindings>,
     known: Known,
+    /// Variance of the images' point spread beyond that of a pixel, square pixels; absent where no surface is seen from near and
+    /// from far, and of what is no capture yet.
+    blur: Option<f32>,
     /// The most frequent first.
     classes: Vec<ClassFindings>,
     estimate: Estimate,
@@ -230,8 +234,17 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     let scene = Scene::new(mesh.clone())?;
     let mut backend = CpuBackend::new(&scene);
     let views = capture.views.iter().map(|view| probe(&mut backend, mesh, view)).collect::<Result<Vec<_>, _>>()?;
+    let training: Vec<View> = capture.views(Split::Train).cloned().collect();
     let (low, high) = mesh.bounds();
     let mut unreadable = Vec::new();
+    let blur = match origin.capture {
+        true => blur::measure(&mut backend, &scene, &training, session.console),
+        false => Ok(None),
+    };
+    let blur = blur.unwrap_or_else(|e| {
+        unreadable.push(e.to_string());
+        None
+    });
     let classes = classes(&capture.views, &mut unreadable);
     let mut findings = Findings {
         capture: capture.root.display().to_string(),
@@ -243,6 +256,7 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
             area,
         },
         known: known(capture),
+        blur,
         classes,
         estimate: estimate(capture, settings, &atlas),
         atlas,
@@ -395,6 +409,11 @@ fn warnings(findings: &Findings) -> Vec<String> {
             100.0 * findings.atlas.overlapping
         ));
     }
+    if let Some(blur) = findings.blur.filter(|blur| *blur >= blur::SHARP) {
+        warnings.push(format!(
+            "the images are softer than their pixels, by a point spread of {blur:.2} square pixels: a fit is better with --sharpen"
+        ));
+    }
     if findings.known.semantic == 0 {
         warnings.push("no view has semantic classes: a fit makes segments from geometry and colour alone".to_owned());
     }
@@ -424,6 +443,9 @@ fn text(findings: &Findings) -> String {
         ),
     );
     line("views", format!("{} training, {} novel", known.train, known.novel));
+    if let Some(blur) = findings.blur.filter(|blur| *blur < blur::SHARP) {
+        line("images", format!("as sharp as their pixels (point spread of {blur:.2} square pixels beyond)"));
+    }
     line(
         "annotated",
         format!(

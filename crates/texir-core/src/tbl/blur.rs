@@ -24,6 +24,9 @@ use crate::surface::{Hit, SurfacePoint};
 /// The widest point spread that can be undone, square pixels: images hold little of what is finer.
 pub const WIDEST: f32 = 1.0;
 
+/// Narrower point spreads, square pixels, are not told from none.
+pub const SHARP: f32 = 0.06;
+
 /// Points within a pixel along each axis.
 const AXIS: usize = 2;
 /// Variance of these points, less than that of all of the pixel, in square pixels: (1 − 1/AXIS²)/12 for 1/12.
@@ -40,6 +43,8 @@ const NARROW: f32 = 0.5;
 const SCALES: [f32; 5] = [0.3, 0.1, 0.05, 0.05, 0.05];
 /// Fewer pixels say nothing.
 const ENOUGH: usize = 500;
+/// More pixels say no more.
+const PLENTY: usize = 50_000;
 /// Pixels of the views that are compared, altogether: 256 MB.
 const PIXELS: usize = 1 << 26;
 /// Keeps quotients of black finite.
@@ -81,6 +86,9 @@ pub(super) fn measure_photos(
             comparisons.extend(points.compare(backend, image, near)?);
         }
         progress.advance(1);
+        if comparisons.len() >= PLENTY {
+            break;
+        }
     }
     progress.finish();
     Ok((comparisons.len() >= ENOUGH).then(|| variance(&comparisons).max(0.0)))

@@ -11,8 +11,8 @@ use crate::atomic_file::write_atomic;
 use crate::capture::{View, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{
-    TransferCurve, is_encoded, read_encoded, read_gray, read_labels, read_mask, read_rgb, read_size, write_gray,
-    write_png_labels, write_png_mask, write_rgb,
+    TransferCurve, check_whole, is_encoded, read_encoded, read_gray, read_labels, read_mask, read_rgb, read_size,
+    write_gray, write_png_labels, write_png_mask, write_rgb,
 };
 use crate::mesh_io::obj;
 use crate::progress::Progress;
@@ -263,6 +263,7 @@ impl Job<'_> {
 
     /// Copies or links a file.
     fn bring(&self, from: &Path, to: &Path) -> Result<()> {
+        check_whole(from)?;
         if self.options.link {
             return link(from, to);
         }

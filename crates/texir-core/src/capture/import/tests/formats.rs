@@ -509,6 +509,19 @@ fn dense_meshes_are_reduced_and_unwrapped() {
 }
 
 #[test]
+fn images_that_end_early_are_no_capture() {
+    let folder = colmap(Vec3::Z, false);
+    let path = folder.path().join("images/photo 2.exr");
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() - 20]).unwrap();
+    let read = super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let refused = write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap_err().to_string();
+    assert_says(&refused, &["photo 2.exr", "cut short", "copy or export it again"]);
+    assert!(!out.path().join("transforms.json").exists());
+}
+
+#[test]
 fn encoded_images_need_a_curve() {
     let folder = colmap(Vec3::Z, false);
     let root = folder.path();
