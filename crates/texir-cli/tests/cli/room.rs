@@ -157,20 +157,16 @@ impl Room {
             write_rgb(file("albedo", "exr"), &picture.albedo).unwrap();
             write_gray(file("roughness", "exr"), &picture.roughness).unwrap();
             View {
-                name: (*name).to_owned(),
-                camera: picture.camera,
-                split: if *name == "novel" { Split::Novel } else { Split::Train },
-                image: file("hdr", "exr"),
-                scale: [1.0; 3],
-                blur: 0.0,
-                reduction: 1,
                 semantic: Some(file("semantic", "png")),
-                classes: None,
                 mask: Some(file("mask", "png")),
-                room: None,
-                room_id: None,
                 albedo: Some(file("albedo", "exr")),
                 roughness: Some(file("roughness", "exr")),
+                ..View::new(
+                    (*name).to_owned(),
+                    picture.camera,
+                    if *name == "novel" { Split::Novel } else { Split::Train },
+                    file("hdr", "exr"),
+                )
             }
         };
         let views: Vec<View> = self.pictures.iter().zip(&VIEWS).map(view).collect();

@@ -122,13 +122,6 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
         let local = |file: &Option<String>| file.as_ref().map(|file| folder.join(file));
         let model = frame.model.or(&file.model);
         let view = View {
-            name,
-            camera: model.camera(&place, &frame.transform_matrix)?,
-            split: splits.of(&place, frame)?,
-            image: folder.join(&frame.file_path),
-            scale: [1.0; 3],
-            blur: 0.0,
-            reduction: 1,
             semantic: local(&frame.semantic_path),
             classes: classes.clone(),
             mask: local(&frame.mask_path),
@@ -136,6 +129,12 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
             room_id: frame.room_id,
             albedo: local(&frame.albedo_path),
             roughness: local(&frame.roughness_path),
+            ..View::new(
+                name,
+                model.camera(&place, &frame.transform_matrix)?,
+                splits.of(&place, frame)?,
+                folder.join(&frame.file_path),
+            )
         };
         Ok(Shot { distortion: model.distortion(&place)?, ..view.into() })
     };

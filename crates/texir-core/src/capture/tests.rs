@@ -56,27 +56,25 @@ fn mesh() -> Mesh {
 /// The three views of the capture in `root`, pose and all: two for training, one held out.
 fn views(root: &Path) -> Vec<View> {
     let view = |i: usize| View {
-        name: format!("view_{i}"),
-        camera: Camera {
-            projection: Projection::Equirectangular,
-            width: WIDTH,
-            height: HEIGHT,
-            world_from_camera: Mat4::from_translation(Vec3::new(0.5, 0.25 * (i + 1) as f32, 0.5))
-                * Mat4::from_rotation_x(1.5)
-                * Mat4::from_rotation_y(i as f32),
-        },
-        split: if i < 2 { Split::Train } else { Split::Novel },
-        image: root.join(format!("hdr/view_{i}.exr")),
-        scale: [1.0; 3],
-        blur: 0.0,
-        reduction: 1,
         semantic: Some(root.join(format!("semantic/view_{i}.png"))),
-        classes: None,
         mask: Some(root.join(format!("mask/view_{i}.png"))),
         room: Some(root.join(format!("room/view_{i}.png"))),
         room_id: Some(1),
         albedo: Some(root.join(format!("albedo/view_{i}.exr"))),
         roughness: Some(root.join(format!("roughness/view_{i}.exr"))),
+        ..View::new(
+            format!("view_{i}"),
+            Camera {
+                projection: Projection::Equirectangular,
+                width: WIDTH,
+                height: HEIGHT,
+                world_from_camera: Mat4::from_translation(Vec3::new(0.5, 0.25 * (i + 1) as f32, 0.5))
+                    * Mat4::from_rotation_x(1.5)
+                    * Mat4::from_rotation_y(i as f32),
+            },
+            if i < 2 { Split::Train } else { Split::Novel },
+            root.join(format!("hdr/view_{i}.exr")),
+        )
     };
     (0..3).map(view).collect()
 }

@@ -41,20 +41,13 @@ fn write_view(rendered: &Rendered, folder: &Path) -> Result<View> {
     let file =
         |kind: &str, extension: &str| -> PathBuf { folder.join(kind).join(format!("{}.{extension}", shot.name)) };
     let view = View {
-        name: shot.name.clone(),
-        camera: shot.camera,
-        split: shot.split,
-        image: file("hdr", "exr"),
-        scale: [1.0; 3],
-        blur: 0.0,
-        reduction: 1,
         semantic: Some(file("semantic", "png")),
-        classes: None,
         mask: Some(file("mask", "png")),
         room: Some(file("room", "png")),
         room_id: Some(shot.room_id),
         albedo: Some(file("albedo", "exr")),
         roughness: Some(file("roughness", "exr")),
+        ..View::new(shot.name.clone(), shot.camera, shot.split, file("hdr", "exr"))
     };
     write_rgb(&view.image, &rendered.image)?;
     write_rgb(file("albedo", "exr"), &rendered.albedo)?;

@@ -74,20 +74,10 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
         mask.data[..32].fill(false);
         write_png_mask(file("mask.png"), &mask).unwrap();
         View {
-            name: name.to_owned(),
-            camera,
-            split,
-            image: file("image.exr"),
-            scale: [1.0; 3],
-            blur: 0.0,
-            reduction: 1,
-            semantic: None,
-            classes: None,
             mask: Some(file("mask.png")),
-            room: None,
-            room_id: None,
             albedo: Some(file("albedo.exr")),
             roughness: Some(file("roughness.exr")),
+            ..View::new(name.to_owned(), camera, split, file("image.exr"))
         }
     });
     let truth = Truth { albedo: folder.join("albedo_tex.exr"), roughness: folder.join("roughness_tex.exr") };
