@@ -350,7 +350,7 @@ fn a_capture_needs_a_folder_a_mesh_and_a_training_view() {
     std::fs::remove_file(folder.path().join("mesh.obj")).unwrap();
     assert_says(&message(&folder), &["has no mesh", "mesh.glb", "--mesh"]);
     std::fs::remove_file(folder.path().join("transforms.json")).unwrap();
-    assert_says(&message(&folder), &["transforms.json", "cannot be read"]);
+    assert_says(&message(&folder), &["holds no capture", "transforms.json"]);
     let error = load(folder.path().join("none"), &LoadOptions::default(), &Silent).unwrap_err().to_string();
     assert_says(&error, &["none", "is no folder"]);
 }
