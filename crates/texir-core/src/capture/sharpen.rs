@@ -2,7 +2,7 @@
 //!
 //! A pixel is taken for the mean of what it covers. Where the images' point spread is wider, the image is sought that blurs
 //! into the one at hand: x ← x + (image − blurred x) (Van Cittert 1931), a few times only, so that what noise there is
-//! stays small. A pixel changes by no more than a factor: beside a lamp nearly all of its light may be the lamp's, and what is
+//! grows by half at most where the spread is a sixth of a square pixel, and threefold at the widest. A pixel changes by no more than a factor: beside a lamp nearly all of its light may be the lamp's, and what is
 //! left of it without that is chance.
 
 use glam::Vec3A;
