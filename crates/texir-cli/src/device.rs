@@ -58,7 +58,7 @@ fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> 
             console.note("no GPU adapter was found: the passes run on the CPU, which gives the same results");
             Ok(None)
         }
-        (_, Err(error)) if adapter.is_some() => Err(Failure::from(error).help("leave --adapter out, or name one that is there")),
+        (_, Err(error)) if adapter.is_some() => Err(Failure::from(error).help("name one that is there, or leave --adapter out; where there is none, install a Vulkan driver")),
         (_, Err(error)) => Err(Failure::from(error).help(
             "install a Vulkan driver (on Debian and Ubuntu, `apt install mesa-vulkan-drivers` also brings one that needs no \
              graphics card), or use --backend cpu",

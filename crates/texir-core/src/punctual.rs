@@ -64,11 +64,14 @@ impl PunctualLight {
             return Ok(());
         }
         Err(Error::invalid(format!(
-            "its intensity, by its colour, is {:?}, its range {}, its place {:?}; expected finite numbers, intensity and range \
-             positive",
+            "its intensity, by its colour, is {:?}, its range {}, its place {:?}, its direction {:?}, its cone {} and {}; expected \
+             finite numbers, intensity and range positive",
             self.intensity,
             1.0 / self.inverse_range,
-            self.position
+            self.position,
+            self.direction,
+            self.cone_scale,
+            self.cone_offset
         )))
     }
 }

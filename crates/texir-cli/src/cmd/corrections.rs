@@ -25,13 +25,13 @@ pub struct CorrectionArgs {
 }
 
 impl CorrectionArgs {
-    /// Corrects the views, exposure first: poses are found by comparing radiance, and blur by comparing what is in place. An HDR texture of the capture is dropped,
-    /// because it was made of the views as they were. Returns what was corrected; `None` when nothing is asked for.
+    /// Corrects the views, exposure first: poses are found by comparing radiance, and blur by comparing what is in place. An HDR
+    /// texture of the capture is dropped where views change, because it was made of them as they were. Returns what was
+    /// corrected; `None` when nothing is asked for.
     pub fn apply(&self, capture: &mut Capture, session: &Session<'_>) -> Result<Option<Corrections>, Failure> {
         if !self.solve_exposure && !self.refine_poses && !self.sharpen {
             return Ok(None);
         }
-        capture.tbl = None;
         let scene = Scene::new(capture.mesh.clone())?;
         let mut backend = device::open(&scene, session.config, session.console)?;
         let mut training: Vec<&mut View> = capture.views.iter_mut().filter(|v| v.split == Split::Train).collect();
@@ -59,14 +59,18 @@ impl CorrectionArgs {
             let blur = self.blur(measured, session);
             training.iter_mut().for_each(|view| view.blur = blur);
         }
+        if self.solve_exposure || self.refine_poses || training.iter().any(|view| view.blur > 0.0) {
+            capture.tbl = None;
+        }
         Ok(Some(Corrections::of(capture)))
     }
+
     /// How much of the blur that was measured is undone, square pixels.
     fn blur(&self, measured: Option<f32>, session: &Session<'_>) -> f32 {
         let Some(measured) = measured else {
             session
                 .console
-                .warn("--sharpen: too few surfaces are seen from near and from far; the views stay as they are");
+                .warn("--sharpen: too few surfaces with edges or texture are seen from near and from far; the views stay as they are");
             return 0.0;
         };
         let width = format!("a point spread of {measured:.2} square pixels beyond a pixel");

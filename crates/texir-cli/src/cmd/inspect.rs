@@ -12,6 +12,7 @@ use texir_core::camera::{Camera, Projection};
 use texir_core::capture::import::{self, Import};
 use texir_core::capture::{Capture, Split, Tbl, View};
 use texir_core::cpu::CpuBackend;
+use texir_core::error::Error;
 use texir_core::fit::{FitSettings, Mode, memory};
 use texir_core::image_io::is_encoded;
 use texir_core::mesh::Mesh;
@@ -241,10 +242,14 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
         true => blur::measure(&mut backend, &scene, &training, session.console),
         false => Ok(None),
     };
-    let blur = blur.unwrap_or_else(|e| {
-        unreadable.push(e.to_string());
-        None
-    });
+    let blur = match blur {
+        Err(Error::Cancelled) => return Err(Error::Cancelled.into()),
+        Err(e) => {
+            unreadable.push(e.to_string());
+            None
+        }
+        Ok(blur) => blur,
+    };
     let classes = classes(&capture.views, &mut unreadable);
     let mut findings = Findings {
         capture: capture.root.display().to_string(),

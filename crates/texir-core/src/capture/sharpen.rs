@@ -1,11 +1,12 @@
 //! Images without the blur that lenses, stitching and resampling gave them.
 //!
 //! A pixel is taken for the mean of what it covers. Where the images' point spread is wider, the image is sought that blurs
-//! into the one at hand: x ← x + (image − blurred x) (Van Cittert 1931), a few times only, so that what noise there is
-//! grows by half at most where the spread is a sixth of a square pixel, and threefold at the widest. A pixel changes by no more than a factor: beside a lamp nearly all of its light may be the lamp's, and what is
-//! left of it without that is chance.
+//! into the one at hand: x ← x + (image − blurred x) (Van Cittert 1931), a few times only: what noise there is grows by half
+//! where the spread is a sixth of a square pixel, and threefold at the widest. A pixel changes by no more than a factor: beside
+//! a lamp nearly all of its light may be the lamp's, and what is left of it without that is chance.
 
 use glam::Vec3A;
+use rayon::prelude::*;
 
 use crate::raster::Rgb;
 
@@ -28,7 +29,7 @@ pub(super) fn sharpen(image: &mut Rgb, variance: f32, wraps: bool) {
     let beside_in_column = |x: usize, y: usize| [at(x, y.saturating_sub(1)), at(x, (y + 1).min(height - 1))];
     let passes = (variance / PASS).ceil();
     let share = 0.5 * variance / passes;
-    let spread = |values: &[Vec3A], beside: &dyn Fn(usize, usize) -> [usize; 2]| -> Vec<Vec3A> {
+    let spread = |values: &[Vec3A], beside: &(dyn Fn(usize, usize) -> [usize; 2] + Sync)| -> Vec<Vec3A> {
         let of_pixel = |i: usize| {
             let towards = |neighbour: usize| match values[neighbour].is_finite() {
                 true => share * (values[neighbour] - values[i]),
@@ -36,18 +37,14 @@ pub(super) fn sharpen(image: &mut Rgb, variance: f32, wraps: bool) {
             };
             values[i] + beside(i % width, i / width).map(towards).into_iter().sum::<Vec3A>()
         };
-        (0..values.len()).map(of_pixel).collect()
+        (0..values.len()).into_par_iter().map(of_pixel).collect()
     };
-    let blurred = |mut values: Vec<Vec3A>| {
-        for _ in 0..passes as usize {
-            values = spread(&spread(&values, &beside_in_row), &beside_in_column);
-        }
-        values
-    };
+    let pass = |values: &[Vec3A]| spread(&spread(values, &beside_in_row), &beside_in_column);
+    let blurred = |values: &[Vec3A]| (1..passes as usize).fold(pass(values), |values, _| pass(&values));
     let seen: Vec<Vec3A> = image.data.iter().copied().map(Vec3A::from).collect();
     let mut sharp = seen.clone();
     for _ in 0..STEPS {
-        let blurred = blurred(sharp.clone());
+        let blurred = blurred(&sharp);
         for ((sharp, seen), blurred) in sharp.iter_mut().zip(&seen).zip(blurred) {
             if seen.is_finite() {
                 *sharp = (*sharp + *seen - blurred).clamp(*seen / CHANGE, *seen * CHANGE);
@@ -106,6 +103,17 @@ mod tests {
         unknown.data[24 * 5 + 7] = [f32::NAN; 3];
         sharpen(&mut unknown, 1.0 / 6.0, true);
         assert_eq!(unknown.data.iter().filter(|pixel| pixel[0].is_nan()).count(), 1);
+        // What is beside it is not taken for what is beside black.
+        let mut black = seen.clone();
+        black.data[24 * 5 + 7] = [0.0; 3];
+        sharpen(&mut black, 1.0 / 6.0, true);
+        let beside = |image: &Rgb| image.data[24 * 5 + 8][0];
+        let sharp = || {
+            let mut sharp = seen.clone();
+            sharpen(&mut sharp, 1.0 / 6.0, true);
+            sharp
+        };
+        assert!((beside(&unknown) - beside(&sharp())).abs() < 0.3 * (beside(&black) - beside(&sharp())).abs());
     }
 
     #[test]

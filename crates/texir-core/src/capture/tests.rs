@@ -386,3 +386,27 @@ fn doubtful_atlases_and_poses_are_warned_about() {
     write_gray(folder.path().join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
     assert_says(&message(&folder), &["roughness_tex.exr", "(2, 1)", "expected (1, 1)", "albedo_tex.exr"]);
 }
+
+#[test]
+fn a_view_is_read_without_its_blur_and_corrections_bring_that_along() {
+    let folder = capture();
+    let mut capture = load(folder.path(), &LoadOptions::default(), &Silent).unwrap();
+    let paint = |i: usize| if i.is_multiple_of(2) { [0.8; 3] } else { [0.6; 3] };
+    let image = Rgb { width: WIDTH, height: HEIGHT, data: (0..WIDTH * HEIGHT).map(paint).collect() };
+    write_rgb(&capture.views[0].image, &image).unwrap();
+    let contrast = |view: &View| {
+        let image = view.load_image(&Silent).unwrap();
+        image.at(2, 1)[0] - image.at(1, 1)[0]
+    };
+    let before = contrast(&capture.views[0]);
+    capture.views[0].blur = 1.0 / 6.0;
+    let after = contrast(&capture.views[0]);
+    assert!(after > 1.2 * before, "{before}, without blur {after}");
+    // What covers several pixels is their mean once they are sharp.
+    let reduced = capture.views[0].reduced(2).unwrap().load_image(&Silent).unwrap();
+    assert!((reduced.at(0, 0)[0] - 0.7).abs() < 1e-3, "{:?}", reduced.at(0, 0));
+    let corrections = Corrections::of(&capture);
+    let mut again = load(folder.path(), &LoadOptions::default(), &Silent).unwrap();
+    corrections.apply(&mut again, &Silent).unwrap();
+    assert_eq!(contrast(&again.views[0]), after);
+}

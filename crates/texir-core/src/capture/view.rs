@@ -40,8 +40,8 @@ impl View {
         Some(Self { camera, reduction: self.reduction * factor, ..self.clone() })
     }
 
-    /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or infinite are unknown and NaN in all
-    /// channels, negative channels are 0, and a warning says how many.
+    /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or infinite are
+    /// unknown and NaN in all channels, negative channels are 0, and a warning says how many.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         self.image_with(f32::NAN, progress)
     }

@@ -11,11 +11,12 @@ use rayon::prelude::*;
 use super::photo;
 use super::photo::Photo;
 use super::shown::{Shown, pixels_per_radian, pixels_per_steradian};
-use crate::backend::Backend;
+use crate::backend::{Backend, Projected};
 use crate::camera::{Camera, Projection};
 use crate::capture::View;
 use crate::error::Result;
 use crate::inpaint;
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Gray;
 use crate::scene::Scene;
@@ -41,6 +42,8 @@ const MIN_COSINE: f32 = 0.1;
 const NARROW: f32 = 0.5;
 /// Scales of the Cauchy weights of successive solutions, relative to a pixel's radiance.
 const SCALES: [f32; 5] = [0.3, 0.1, 0.05, 0.05, 0.05];
+/// A slope of a larger standard error is not known: where surfaces are plain, and noise is all that is to be seen.
+const UNSURE: f32 = 0.02;
 /// Fewer pixels say nothing.
 const ENOUGH: usize = 500;
 /// More pixels say no more.
@@ -51,7 +54,7 @@ const PIXELS: usize = 1 << 26;
 const BLACK: f32 = 1e-4;
 
 /// The variance of the point spread beyond that of a pixel, square pixels along each axis, which is never negative; `None` where
-/// too few surfaces are seen from near and from far. Large captures are judged by their first views.
+/// too few surfaces with edges or texture are seen from near and from far. Large captures are judged by their first views.
 pub fn measure(
     backend: &mut dyn Backend,
     scene: &Scene,
@@ -75,13 +78,19 @@ pub(super) fn measure_photos(
     mut load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
 ) -> Result<Option<f32>> {
-    let images = (0..cameras.len()).map(|i| Ok(load(i)?.image.map(|radiance| inpaint::mean(*radiance))));
-    let images: Vec<Gray> = images.collect::<Result<_>>()?;
+    if cameras.len() < 2 {
+        return Ok(None);
+    }
     progress.start("sharpness", cameras.len() as u64, "views");
+    let gray = |i: usize| {
+        progress.check()?;
+        Ok(load(i)?.image.map(|radiance| inpaint::mean(*radiance)))
+    };
+    let images: Vec<Gray> = (0..cameras.len()).map(gray).collect::<Result<_>>()?;
     let mut comparisons = Vec::new();
     for (far, (camera, image)) in cameras.iter().zip(&images).enumerate() {
         progress.check()?;
-        let points = Points::new(backend, scene, camera)?;
+        let points = Points::new(backend, &scene.mesh, camera)?;
         for (_, near) in cameras.iter().zip(&images).enumerate().filter(|(near, _)| *near != far) {
             comparisons.extend(points.compare(backend, image, near)?);
         }
@@ -91,7 +100,7 @@ pub(super) fn measure_photos(
         }
     }
     progress.finish();
-    Ok((comparisons.len() >= ENOUGH).then(|| variance(&comparisons).max(0.0)))
+    Ok((comparisons.len() >= ENOUGH).then(|| variance(&comparisons)).flatten().map(|variance| variance.max(0.0)))
 }
 
 /// What a pixel shows beside what a nearer view predicts.
@@ -100,29 +109,34 @@ struct Comparison {
     difference: f32,
     /// ∇²P/2, likewise.
     curvature: f32,
+    /// ∇²(P + I)/2, likewise: see [`variance`].
+    instrument: f32,
     /// Area of a pixel of the nearer view, in pixels of this one.
     ratio: f32,
 }
 
 /// What a view sees through [`AXIS`]² points of each of its pixels.
 struct Points<'a> {
-    shown: Shown<'a>,
+    mesh: &'a Mesh,
     camera: &'a Camera,
-    /// Pixel by pixel; `None` where there is no surface, or it is seen at a grazing angle.
-    points: Vec<Option<SurfacePoint>>,
+    /// Its pixels' centres.
+    shown: Shown<'a>,
+    /// Row by row of the supersampled view.
+    hits: Vec<Hit>,
 }
 
 impl<'a> Points<'a> {
-    fn new(backend: &mut dyn Backend, scene: &'a Scene, camera: &'a Camera) -> Result<Self> {
-        let fine = camera.supersampled(AXIS);
-        let hits = backend.primary(&fine)?;
-        let of_pixel = |pixel: usize| {
-            let (x, y) = (pixel % camera.width * AXIS, pixel / camera.width * AXIS);
-            (0..AXIS * AXIS).map(move |k| (y + k / AXIS) * fine.width + x + k % AXIS)
-        };
-        let point = |hit: &Hit| hit.is_hit().then(|| SurfacePoint::new(&scene.mesh, hit, None));
-        let points = (0..camera.pixels()).flat_map(of_pixel).map(|i| point(&hits[i])).collect();
-        Ok(Self { shown: Shown::new(backend, &scene.mesh, camera)?, camera, points })
+    fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &'a Camera) -> Result<Self> {
+        let hits = backend.primary(&camera.supersampled(AXIS))?;
+        Ok(Self { mesh, camera, shown: Shown::new(backend, mesh, camera)?, hits })
+    }
+
+    /// The points of a pixel; `None` where one of them meets no surface.
+    fn of_pixel(&self, pixel: usize) -> Option<[SurfacePoint; AXIS * AXIS]> {
+        let width = self.camera.width;
+        let (x, y) = (pixel % width * AXIS, pixel / width * AXIS);
+        let hits = std::array::from_fn(|k| &self.hits[(y + k / AXIS) * width * AXIS + x + k % AXIS]);
+        hits.iter().all(|hit: &&Hit| hit.is_hit()).then(|| hits.map(|hit| SurfacePoint::new(self.mesh, hit, None)))
     }
 
     /// Compares `image`, which the view shows, with a view that is nearer to some of it.
@@ -132,51 +146,50 @@ impl<'a> Points<'a> {
         image: &Gray,
         (near, nearer): (&Camera, &Gray),
     ) -> Result<Vec<Comparison>> {
-        let ratio = |points: &[Option<SurfacePoint>]| -> Option<f32> {
-            let of_point = |point: &Option<SurfacePoint>| {
-                let point = point.as_ref()?;
+        let candidate = |pixel: usize| {
+            let points = self.of_pixel(pixel)?;
+            let of_point = |point: &SurfacePoint| {
                 near.project(point.position.into())?;
                 Some(density(self.camera, point)? / density(near, point)?)
             };
-            points.iter().map(of_point).sum::<Option<f32>>().map(|sum| sum / points.len() as f32)
+            let ratio = points.iter().map(of_point).sum::<Option<f32>>()? / points.len() as f32;
+            (ratio <= 1.0 / NEARER).then_some((pixel, ratio, points))
         };
-        let candidates: Vec<(usize, f32)> = self
-            .points
-            .par_chunks(AXIS * AXIS)
-            .enumerate()
-            .filter_map(|(pixel, points)| Some((pixel, ratio(points).filter(|ratio| *ratio <= 1.0 / NEARER)?)))
-            .collect();
-        let points_of = |pixel: usize| self.points[pixel * AXIS * AXIS..][..AXIS * AXIS].iter().flatten().copied();
-        let points: Vec<SurfacePoint> = candidates.iter().flat_map(|(pixel, _)| points_of(*pixel)).collect();
+        let candidates: Vec<_> = (0..image.data.len()).into_par_iter().filter_map(candidate).collect();
+        let points: Vec<SurfacePoint> = candidates.iter().flat_map(|(_, _, points)| *points).collect();
         let projected = backend.project(&points, near)?;
         let wraps = near.projection == Projection::Equirectangular;
+        let read = |at: &Projected| -> f32 {
+            let taps = nearer.around(DVec2::from(at.pixel.map(f64::from)), wraps);
+            if at.distance > 0.0 { taps.iter().map(|&(i, weight)| weight * nearer.data[i]).sum() } else { f32::NAN }
+        };
         let mut predicted = vec![f32::NAN; image.data.len()];
-        for ((pixel, _), projected) in candidates.iter().zip(projected.chunks(AXIS * AXIS)) {
-            let read = |at: DVec2| -> f32 { nearer.around(at, wraps).iter().map(|&(i, w)| w * nearer.data[i]).sum() };
-            let shown = projected.iter().map(|at| match at.distance > 0.0 {
-                true => read(DVec2::from(at.pixel.map(f64::from))),
-                false => f32::NAN,
-            });
-            predicted[*pixel] = shown.sum::<f32>() / projected.len() as f32;
+        for ((pixel, ..), at) in candidates.iter().zip(projected.chunks(AXIS * AXIS)) {
+            predicted[*pixel] = at.iter().map(read).sum::<f32>() / at.len() as f32;
         }
         // Exposures may differ.
-        let factors = candidates.iter().map(|&(pixel, _)| image.data[pixel] / predicted[pixel]);
+        let factors = candidates.iter().map(|(pixel, ..)| image.data[*pixel] / predicted[*pixel]);
         let mut factors: Vec<f32> = factors.filter(|factor| factor.is_finite()).collect();
         factors.sort_by(f32::total_cmp);
         let factor = factors.get(factors.len() / 2).copied().unwrap_or(1.0);
         predicted.iter_mut().for_each(|radiance| *radiance *= factor);
-        let compare = |&(pixel, ratio): &(usize, f32)| -> Option<Comparison> {
+        let compare = |(pixel, ratio): (usize, f32)| -> Option<Comparison> {
             let (x, y) = ((pixel % image.width) as i64, (pixel / image.width) as i64);
             let per_radian = pixels_per_radian(self.camera, y as f32 + 0.5);
             let around = [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| self.shown.pixel(x + dx, y + dy));
-            let around: f32 = around.into_iter().map(|p| p.map(|p| predicted[p])).sum::<Option<f32>>()?;
+            let curvature = |values: &[f32]| -> Option<f32> {
+                let around: f32 =
+                    around.iter().map(|beside| beside.map(|beside| values[beside])).sum::<Option<f32>>()?;
+                Some(0.5 * (around - 4.0 * values[pixel]))
+            };
+            let (of_prediction, of_image) = (curvature(&predicted)?, curvature(&image.data)?);
             let middle = 0.5 * (image.data[pixel] + predicted[pixel]) + BLACK;
-            let difference = (image.data[pixel] - predicted[pixel]) / middle;
-            let curvature = 0.5 * (around - 4.0 * predicted[pixel]) / middle;
-            let usable = per_radian.y >= NARROW * per_radian.x && (difference + curvature).is_finite();
-            usable.then_some(Comparison { difference, curvature, ratio })
+            let [difference, curvature, instrument] =
+                [image.data[pixel] - predicted[pixel], of_prediction, of_prediction + of_image].map(|v| v / middle);
+            let usable = per_radian.y >= NARROW * per_radian.x && (difference + instrument).is_finite();
+            usable.then_some(Comparison { difference, curvature, instrument, ratio })
         };
-        Ok(candidates.iter().filter_map(compare).collect())
+        Ok(candidates.iter().filter_map(|(pixel, ratio, _)| compare((*pixel, *ratio))).collect())
     }
 }
 
@@ -187,20 +200,29 @@ fn density(camera: &Camera, point: &SurfacePoint) -> Option<f32> {
     (cosine >= MIN_COSINE).then(|| pixels_per_steradian(camera) * cosine / to_camera.length_squared())
 }
 
-/// The slope of the differences over the curvatures, corrected for how the predictions are blurred themselves.
-fn variance(comparisons: &[Comparison]) -> f32 {
-    let mut measured = 0.0;
-    let mut ratio = 0.0;
+/// The slope of the differences over the curvatures, corrected for how the predictions are blurred themselves; `None` where its
+/// standard error says that it is not known.
+///
+/// Products with the curvature of P alone would take noise of P for blur, which is in I − P and in ∇²P; with that of I alone,
+/// noise of I for the contrary. With both (an instrumental variable), what remains of noise, which is less in P, makes images
+/// sharper than they are, and so does nothing; and what surfaces that are out of place add to one is taken off the other.
+fn variance(comparisons: &[Comparison]) -> Option<f32> {
+    let (mut slope, mut ratio, mut error) = (0.0f32, 0.0, f32::INFINITY);
     for scale in SCALES {
-        let mut sums = [0.0f64; 3];
-        for Comparison { difference, curvature, ratio } in comparisons {
-            let error = (difference - measured * curvature) / scale;
-            let weight = curvature / (1.0 + error * error);
-            let terms = [weight * difference, weight * curvature, weight * curvature * ratio];
-            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += f64::from(term));
+        let (mut covariance, mut energy, mut ratios, mut scatter) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+        for Comparison { difference, curvature, instrument, ratio } in comparisons {
+            let residual = difference - slope * curvature;
+            let weighted = instrument / (1.0 + (residual / scale).powi(2));
+            covariance += f64::from(weighted * difference);
+            energy += f64::from(weighted * curvature);
+            ratios += f64::from(weighted * curvature * ratio);
+            scatter += f64::from(weighted * residual).powi(2);
         }
-        measured = (sums[0] / sums[1].max(f64::MIN_POSITIVE)) as f32;
-        ratio = (sums[2] / sums[1].max(f64::MIN_POSITIVE)) as f32;
+        if energy <= 0.0 {
+            return None;
+        }
+        (slope, ratio) = ((covariance / energy) as f32, (ratios / energy) as f32);
+        error = (scatter.sqrt() / energy) as f32;
     }
-    (measured + POINTS + READ * ratio) / (1.0 - ratio)
+    (error <= UNSURE).then(|| (slope + POINTS + READ * ratio) / (1.0 - ratio))
 }

@@ -702,4 +702,16 @@ fn blur_is_told_from_reflections_and_exposure() {
     let [before, after] = [&sharp, &blurred].map(|images| measure(images, &cameras).unwrap());
     assert!(before < 0.03 && (after - 1.0 / 6.0).abs() < 0.03, "{before} of sharp images, {after} of blurred ones");
     assert_eq!(measure(&sharp[..1], &cameras[..1]), None);
+    // Noise is no blur, where there is a pattern and where there is none.
+    let noisy = |image: &Rgb, seed: u32| {
+        let random = |i: usize, k: u32| crate::rng::hash2(seed + i as u32, k) as f32 / u32::MAX as f32;
+        let of_pixel = |(i, l): (usize, &[f32; 3])| l.map(|l| l * (1.0 + 0.2 * (random(i, 0) - 0.5)));
+        Rgb { data: image.data.iter().enumerate().map(of_pixel).collect(), ..*image }
+    };
+    let plain: Vec<Rgb> = cameras.iter().map(|camera| photograph(&scene, camera, |_, _| [1.0; 3])).collect();
+    for images in [sharp, plain] {
+        let noisy: Vec<Rgb> = (0..).zip(&images).map(|(i, image)| noisy(image, i << 20)).collect();
+        let measured = measure(&noisy, &cameras);
+        assert!(measured.is_none_or(|blur| blur < blur::SHARP), "{measured:?} of noisy images");
+    }
 }
