@@ -168,10 +168,12 @@ impl DiffuseChoice {
 pub struct LocalSettings {
     /// Edge of a block, metres.
     pub block: f32,
-    /// By how much two finishes must explain a segment better than one, each block having the one that the blocks around it ask
-    /// for: the fall of the logarithm of the segment's mean cost.
+    /// By how much two finishes must explain a segment better than one to be believed half, each block having the one that those
+    /// near it ask for: the fall of the logarithm of the segment's mean cost.
     pub gain: f32,
-    /// The same gain where each half of the views says which finish the blocks have that the other half judges by.
+    /// Pixels that a segment must have for half of that gain to count.
+    pub segment_pixels: f32,
+    /// The gain to be believed half where each half of the views says which finish the blocks have that the other half judges by.
     pub agreement: f32,
     /// Pixels that each finish must have.
     pub pixels: u32,
@@ -179,7 +181,7 @@ pub struct LocalSettings {
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { block: 0.3, gain: 0.1, agreement: 0.03, pixels: 200 }
+        Self { block: 0.3, gain: 0.07, segment_pixels: 1000.0, agreement: 0.03, pixels: 200 }
     }
 }
 
@@ -483,7 +485,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 38] {
+    fn checks(&self) -> [Check; 39] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -517,6 +519,7 @@ impl FullSettings {
             not_negative("full.roughness.colour_pull", r.colour_pull),
             positive("full.roughness.local.block", r.local.block),
             positive("full.roughness.local.gain", r.local.gain),
+            not_negative("full.roughness.local.segment_pixels", r.local.segment_pixels),
             positive("full.roughness.local.agreement", r.local.agreement),
             ("full.roughness.joints.width", r.joints.width, (0.0..=0.5).contains(&r.joints.width), "in [0, 0.5]"),
             positive("full.roughness.joints.contrast", r.joints.contrast),

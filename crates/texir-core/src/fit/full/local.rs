@@ -1,11 +1,13 @@
 //! Roughness that varies within a surface: worn tracks, wet spots, a polished patch.
 //!
 //! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, a block has the one that
-//! explains the pixels of it and of those around it better. Two are believed where they explain the segment clearly better
-//! than one, and where the views agree on which block has which: blocks that are free to take any value follow whatever else
+//! explains the pixels of it and of those near it better. Near are those around it, as on a floor with a worn track, or
+//! those of its whole face, as where one wall of a room is tiled. Two are believed as far as they explain the segment better
+//! than one, and as the views agree on which block has which: blocks that are free to take any value follow whatever else
 //! is wrong with their pixels, and that goes with the view.
 
 use std::collections::BTreeMap;
+use std::iter::repeat_n;
 
 use rayon::prelude::*;
 
@@ -22,6 +24,8 @@ pub struct Surface<'a> {
     pub texels: &'a [u32],
     /// Segment of each texel.
     pub segment: &'a [u32],
+    /// The flat piece of it that each texel is in.
+    pub face: &'a [u32],
     /// Roughness of each segment as a whole.
     pub whole: &'a [f32],
     /// The texel that each pixel sees most of, or [`NONE`].
@@ -32,8 +36,8 @@ pub struct Surface<'a> {
     pub texel_size: f32,
 }
 
-/// Segment, column and row of a block.
-type Place = (u32, i32, i32);
+/// Segment, face, column and row of a block.
+type Place = (u32, u32, i32, i32);
 
 /// What the pixels of a block say, by half of the views.
 type Halves = [Tally; 2];
@@ -48,7 +52,7 @@ pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], set
     let mut blocks: BTreeMap<Place, Halves> = BTreeMap::new();
     for (pixel, &t) in surface.heaviest.iter().enumerate().filter(|(_, t)| **t != NONE) {
         let [x, y] = column_row(t as usize).map(|at| at as i32);
-        let halves = blocks.entry((surface.segment[t as usize], x, y)).or_default();
+        let halves = blocks.entry((surface.segment[t as usize], surface.face[t as usize], x, y)).or_default();
         halves[usize::from(surface.half[pixel])].add(evidence, pixel);
     }
     let blocks: Vec<(Place, Halves)> = blocks.into_iter().collect();
@@ -61,7 +65,7 @@ pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], set
         let (mut sum, mut weight) = (0.0, 0.0);
         for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
             let (bx, by) = (x.floor() + dx, y.floor() + dy);
-            if let Some(change) = changes.get(&(surface.segment[t], bx as i32, by as i32)) {
+            if let Some(change) = changes.get(&(surface.segment[t], surface.face[t], bx as i32, by as i32)) {
                 let near = (1.0 - (x - bx).abs()) * (1.0 - (y - by).abs());
                 sum += near * change;
                 weight += near;
@@ -75,7 +79,7 @@ pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], set
 /// By how much the blocks of a segment differ from it, in ln r; nothing where one finish is as good.
 ///
 /// Two finishes always explain a segment better than one when each block takes what suits it, as noise has two sides. What
-/// counts is therefore how well a block is explained by the finish that others ask for: the blocks around it, itself left
+/// counts is therefore how well a block is explained by the finish that others ask for: the blocks near it, itself left
 /// out, and the other half of the views.
 fn two_finishes(blocks: &[(Place, Halves)], whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
     let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
@@ -86,53 +90,76 @@ fn two_finishes(blocks: &[(Place, Halves)], whole: &[f32], settings: &LocalSetti
     };
     let best = pairs.map(|pair| (of_pair(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
     let (Some((_, pair)), true) = (best, all.pixels > 0.0) else { return Vec::new() };
-    let better = |tally: &Tally| if tally.cost[pair[0]] < tally.cost[pair[1]] { pair[0] } else { pair[1] };
-    let around: Vec<Vec<usize>> = blocks.iter().map(|(place, _)| around(blocks, *place)).collect();
+    let at = |tally: &Tally| pair.map(|node| tally.cost[node]);
+    let better = |[smooth, rough]: [f64; 2]| if smooth < rough { pair[0] } else { pair[1] };
 
+    let judged = [around(blocks), of_faces(blocks)].map(|near| {
+        let asked = |i: usize, half: usize| better(at(&near[i][half]));
+        (agreement(blocks, &near, &asked), near)
+    });
+    let Some((agreement, near)) = judged.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return Vec::new() };
+    let near: Vec<[f64; 2]> = near.iter().map(|halves| at(&Tally::sum(halves.iter()))).collect();
+    let others = |i: usize| -> [f64; 2] { std::array::from_fn(|k| near[i][k] - at(&own[i])[k]) };
+    let predicted: f64 = own.iter().enumerate().map(|(i, block)| block.cost[better(others(i))]).sum();
     let one = all.cost.iter().copied().fold(f64::INFINITY, f64::min);
-    let near = |i: usize| Tally::sum(around[i].iter().map(|&n| &own[n]));
-    let predicted: f64 = own.iter().enumerate().map(|(i, block)| block.cost[better(&near(i))]).sum();
-    if all.ln_mean(one) - all.ln_mean(predicted) < settings.gain
-        || agreement(blocks, &around, &better) < settings.agreement
-    {
-        return Vec::new();
-    }
-    let chosen: Vec<usize> =
-        own.iter().enumerate().map(|(i, block)| better(&Tally::sum([block, &near(i)].into_iter()))).collect();
+    let gain = all.ln_mean(one) - all.ln_mean(predicted);
+    let pixels = all.pixels as f32;
+    let known = gain * pixels / (pixels + settings.segment_pixels);
+    let believed = half_at(settings.gain, known).min(half_at(settings.agreement, agreement));
+
+    let chosen: Vec<usize> = near.iter().map(|near| better(*near)).collect();
     let of = |node: usize| Tally::sum(own.iter().zip(&chosen).filter(|(_, c)| **c == node).map(|(block, _)| block));
     let finishes = pair.map(of);
-    if finishes.iter().any(|finish| finish.pixels < f64::from(settings.pixels)) {
+    if believed == 0.0 || finishes.iter().any(|finish| finish.pixels < f64::from(settings.pixels)) {
         return Vec::new();
     }
-    let change = |finish: &Tally| (minimum(&finish.misfit()) / whole[blocks[0].0.0 as usize]).ln();
-    let [smooth, rough] = [change(&finishes[0]), change(&finishes[1])];
+    let whole = whole[blocks[0].0.0 as usize];
+    let [smooth, rough] = finishes.map(|finish| believed * (minimum(&finish.misfit()) / whole).ln());
     let changes = chosen.iter().map(|node| if *node == pair[0] { smooth } else { rough });
     blocks.iter().map(|(place, _)| *place).zip(changes).collect()
 }
 
+/// How far something is believed that is believed half at `half`: not at all at half of that, and fully at half more.
+fn half_at(half: f32, value: f32) -> f32 {
+    (value / half - 0.5).clamp(0.0, 1.0)
+}
+
 /// By how much the logarithm of the mean cost falls when each half of the views is explained by the finishes that the other
-/// half asks for around a block, instead of by the one that the other half asks for; 0 where no block is seen by both.
-fn agreement(blocks: &[(Place, Halves)], around: &[Vec<usize>], better: &impl Fn(&Tally) -> usize) -> f32 {
+/// half asks for near a block, instead of by the one that the other half asks for; 0 where no block is seen by both. `asked` says
+/// which finish half of the views asks for near a block.
+fn agreement(blocks: &[(Place, Halves)], near: &[Halves], asked: &impl Fn(usize, usize) -> usize) -> f32 {
     let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
     for (mine, other) in [(0, 1), (1, 0)] {
         let all = Tally::sum(blocks.iter().map(|(_, halves)| &halves[other]));
         let single = (0..NODES).min_by(|a, b| all.cost[*a].total_cmp(&all.cost[*b])).unwrap_or(0);
         for (i, (_, halves)) in blocks.iter().enumerate() {
-            let near = Tally::sum(around[i].iter().chain([&i]).map(|&n| &blocks[n].1[other]));
             let block = &halves[mine];
-            if near.pixels > 0.0 && block.pixels > 0.0 {
+            if near[i][other].pixels > 0.0 && block.pixels > 0.0 {
                 judged = Tally::sum([&judged, block].into_iter());
                 one += block.cost[single];
-                two += block.cost[better(&near)];
+                two += block.cost[asked(i, other)];
             }
         }
     }
     if judged.pixels > 0.0 { judged.ln_mean(one) - judged.ln_mean(two) } else { 0.0 }
 }
 
-/// The up to eight blocks beside one.
-fn around(blocks: &[(Place, Halves)], (segment, x, y): Place) -> Vec<usize> {
-    let sides = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|side| *side != (0, 0));
-    let at = |(dx, dy): (i32, i32)| blocks.binary_search_by_key(&(segment, x + dx, y + dy), |(place, _)| *place).ok();
-    sides.filter_map(at).collect()
+/// What each block and the up to eight around it say.
+fn around(blocks: &[(Place, Halves)]) -> Vec<Halves> {
+    let block = |place: Place| blocks.binary_search_by_key(&place, |(place, _)| *place).ok();
+    let of = |(segment, face, x, y): Place| {
+        let near = (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| (segment, face, x + dx, y + dy)));
+        sum(near.filter_map(block).map(|i| &blocks[i].1))
+    };
+    blocks.iter().map(|(place, _)| of(*place)).collect()
+}
+
+/// What all blocks of each block's face say.
+fn of_faces(blocks: &[(Place, Halves)]) -> Vec<Halves> {
+    let faces = blocks.chunk_by(|a, b| a.0.1 == b.0.1);
+    faces.flat_map(|face| repeat_n(sum(face.iter().map(|(_, halves)| halves)), face.len())).collect()
+}
+
+fn sum<'a>(blocks: impl Iterator<Item = &'a Halves> + Clone) -> Halves {
+    [0, 1].map(|half| Tally::sum(blocks.clone().map(|halves| &halves[half])))
 }

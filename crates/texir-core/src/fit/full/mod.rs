@@ -126,8 +126,14 @@ fn recover(
     solve(&mut albedo, &of_texels, 1);
     let palettes = problem.palettes(&albedo, &settings.palette);
     let half = evidence.halves(&seen.views);
-    let mut roughness =
-        by_colour(&problem, (atlas, texel), (&palettes, &albedo), &by_segment, (&evidence, &half), settings);
+    let mut roughness = by_colour(
+        &problem,
+        (atlas, texel),
+        (&palettes, &albedo),
+        (&segments.face, &by_segment),
+        (&evidence, &half),
+        settings,
+    );
     solve(&mut albedo, &roughness, 1);
     let joints = joints::find(&problem, &evidence, &half, (&albedo, &roughness), texel, &settings.roughness, progress)?;
     let with_joints =
@@ -230,7 +236,7 @@ fn by_colour(
     problem: &AlbedoProblem<'_>,
     (atlas, texel_size): (&Atlas, f32),
     (palettes, albedo): (&Palettes, &[Vec3A]),
-    by_segment: &[f32],
+    (face, by_segment): (&[u32], &[f32]),
     (evidence, half): (&scan::Evidence, &[u8]),
     settings: &FullSettings,
 ) -> Vec<f32> {
@@ -256,6 +262,7 @@ fn by_colour(
         width: atlas.width,
         texels: &atlas.texels,
         segment: problem.segment.0,
+        face,
         whole: by_segment,
         heaviest: &heaviest,
         half,

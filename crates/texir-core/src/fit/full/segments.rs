@@ -16,6 +16,8 @@ use crate::rooms::FloorPlan;
 pub struct Segments {
     /// That of every valid texel.
     pub segment: Vec<u32>,
+    /// The flat piece of its segment that every valid texel is in: one wall of those around a room. Numbered from 0.
+    pub face: Vec<u32>,
     /// Semantic class of each segment; 0 is "unknown".
     pub class: Vec<u16>,
     /// Class within a room of each segment, numbered from 0.
@@ -59,6 +61,8 @@ pub fn segment(
         if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
     let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
+    let of = |t: u32| (segment[t as usize], labels.surface[t as usize]);
+    let face = connected(segment.len(), adjacency, |a, b| of(a) == of(b)).0;
     let mut of_segment = vec![(0, 0); count];
     segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
     let mut pairs = of_segment.clone();
@@ -67,6 +71,7 @@ pub fn segment(
     let number = |pair: &(u16, u16)| pairs.partition_point(|p| p < pair) as u32;
     Segments {
         segment,
+        face,
         class: of_segment.iter().map(|(class, _)| *class).collect(),
         class_in_room: of_segment.iter().map(number).collect(),
     }

@@ -153,7 +153,12 @@ fn the_diffuse_model_is_the_one_that_the_images_were_made_with() {
             let diffuse = 0.5 * toy.irradiance[texel] * std::f32::consts::FRAC_1_PI;
             toy.seen.radiance[p] += (truth.factor(toy.seen.cosine[p], roughness) - 1.0) * diffuse;
         }
-        let segments = Segments { segment: toy.segment.clone(), class: vec![1; 2], class_in_room: vec![0; 2] };
+        let segments = Segments {
+            segment: toy.segment.clone(),
+            face: toy.segment.clone(),
+            class: vec![1; 2],
+            class_in_room: vec![0; 2],
+        };
         let mut problem = toy.problem(&settings.albedo);
         let scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
         assert_eq!(scanned.diffuse, truth);
@@ -170,7 +175,12 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
     for (metallic, roughness) in [(1.0, 0.1), (1.0, 0.25), (0.0, 0.1), (0.0, 0.25), (0.0, 0.9)] {
         let material = Material { metallic, ..Material::dielectric(copper.to_array(), roughness) };
         let toy = toy_of(|_| material, 1.0);
-        let segments = Segments { segment: toy.segment.clone(), class: vec![1; 2], class_in_room: vec![0; 2] };
+        let segments = Segments {
+            segment: toy.segment.clone(),
+            face: toy.segment.clone(),
+            class: vec![1; 2],
+            class_in_room: vec![0; 2],
+        };
         let floor = toy.segment.iter().position(|s| *s == 0).unwrap();
         let mut metal = |enabled| {
             settings.metallic = MetallicSettings { enabled, ..MetallicSettings::default() };
@@ -381,6 +391,7 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
         width: width as usize,
         texels: &texels,
         segment: &segment,
+        face: &segment,
         whole: &whole,
         heaviest: &texels,
         half: &half,
@@ -391,6 +402,11 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     };
     let clear = refined(&halves, 1.0, 0.4);
     assert!((clear[8] - 0.1).abs() < 0.01 && (clear[56] - 0.4).abs() < 0.02, "{} {}", clear[8], clear[56]);
+    // A little more evidence changes little.
+    let by_depth: Vec<f32> =
+        (0..=40).map(|step| refined(&halves, 1e-3 * 1.2f32.powi(step), 0.4)[8]).map(f32::ln).collect();
+    assert!((by_depth[0] - 0.2f32.ln()).abs() < 1e-6 && (by_depth[40] - 0.1f32.ln()).abs() < 0.1, "{by_depth:?}");
+    assert!(by_depth.windows(2).all(|d| d[1] < d[0] + 0.01 && d[1] > d[0] - 0.4), "{by_depth:?}");
     // Negative controls: too little difference, none, and blocks of which none says what is beside it.
     assert_eq!(refined(&halves, 1e-3, 0.4), [0.2; 1024]);
     assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
@@ -401,6 +417,17 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     assert_eq!(refined(&|t| halves(t) == odd(t), 1.0, 0.4), [0.2; 1024]);
     let alone = Surface { half: &[0; 1024], ..surface };
     assert_eq!(refine(&alone, &evidence(&halves, 1.0, 0.4), &[0.2; 1024], &LocalSettings::default()), [0.2; 1024]);
+    // Of blocks that are seen here and there, none says what is beside it; but those of a face speak for each other.
+    let seen = |t: u32| (t % width / 6).is_multiple_of(2) && (t / width / 6).is_multiple_of(2);
+    let heaviest: Vec<u32> = texels.iter().map(|&t| if seen(t) { t } else { NONE }).collect();
+    let settings = LocalSettings { pixels: 50, segment_pixels: 100.0, ..LocalSettings::default() };
+    let seldom = |face: &[u32]| {
+        let surface = Surface { face, heaviest: &heaviest, ..surface };
+        refine(&surface, &evidence(&halves, 1.0, 0.4), &[0.2; 1024], &settings)
+    };
+    let walls = seldom(&texels.iter().map(|&t| u32::from(!halves(t))).collect::<Vec<u32>>());
+    assert!((walls[8] - 0.1).abs() < 0.01 && (walls[56] - 0.4).abs() < 0.02, "{} {}", walls[8], walls[56]);
+    assert_eq!(seldom(&segment), [0.2; 1024]);
 }
 
 #[test]
