@@ -12,11 +12,15 @@ use crate::atlas::Atlas;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
 
+/// Pieces of a segment that are smaller, square metres, are no faces of their own.
+const SMALLEST_FACE: f32 = 0.1;
+
 /// Connected regions of one class in one room, numbered from 0.
 pub struct Segments {
     /// That of every valid texel.
     pub segment: Vec<u32>,
-    /// The flat piece of its segment that every valid texel is in: one wall of those around a room. Numbered from 0.
+    /// The flat piece of its segment that every valid texel is in: one wall of those around a room. Small pieces of a segment
+    /// count as one.
     pub face: Vec<u32>,
     /// Semantic class of each segment; 0 is "unknown".
     pub class: Vec<u16>,
@@ -61,8 +65,7 @@ pub fn segment(
         if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
     let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
-    let of = |t: u32| (segment[t as usize], labels.surface[t as usize]);
-    let face = connected(segment.len(), adjacency, |a, b| of(a) == of(b)).0;
+    let face = faces((&segment, count), &labels.surface, adjacency, (SMALLEST_FACE / (texel * texel)) as usize);
     let mut of_segment = vec![(0, 0); count];
     segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
     let mut pairs = of_segment.clone();
@@ -75,6 +78,17 @@ pub fn segment(
         class: of_segment.iter().map(|(class, _)| *class).collect(),
         class_in_room: of_segment.iter().map(number).collect(),
     }
+}
+
+/// Flat pieces of segments that have at least so many texels; what is left of each segment is one more. Bumps of a scan leave
+/// nothing else of it.
+fn faces((segment, segments): (&[u32], usize), surface: &[u32], adjacency: &Adjacency, least: usize) -> Vec<u32> {
+    let of = |t: u32| (segment[t as usize], surface[t as usize]);
+    let (piece, count) = connected(segment.len(), adjacency, |a, b| of(a) == of(b));
+    let mut texels = vec![0; count];
+    piece.iter().for_each(|p| texels[*p as usize] += 1);
+    let of_texel = |(p, s): (&u32, &u32)| if texels[*p as usize] < least { *s } else { segments as u32 + p };
+    piece.iter().zip(segment).map(of_texel).collect()
 }
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.
@@ -127,4 +141,31 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
         i = parent[i as usize];
     }
     i
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::automatic::tests::{SIDE, floor_and_wall};
+    use super::*;
+
+    #[test]
+    fn faces_end_at_creases_and_where_segments_do_and_small_ones_are_one() {
+        let (atlas, adjacency) = floor_and_wall();
+        let surface = hidden::flat_surfaces(&atlas, &adjacency);
+        let texels = atlas.points.len();
+        let (floor, wall) = (0..SIDE * SIDE, SIDE * SIDE..texels);
+        let one = vec![0; texels];
+        let found = faces((&one, 1), &surface, &adjacency, 100);
+        assert!(found[floor.clone()].iter().all(|f| *f == found[0]));
+        assert!(found[wall.clone()].iter().all(|f| *f == found[texels - 1]) && found[0] != found[texels - 1]);
+        // Another segment takes half of the floor.
+        let two: Vec<u32> = (0..texels).map(|t| u32::from(t < SIDE * SIDE / 2)).collect();
+        let found = faces((&two, 2), &surface, &adjacency, 100);
+        assert!(found[0] != found[SIDE * SIDE - 1] && found[SIDE * SIDE - 1] != found[texels - 1]);
+        // A floor of bumps is one all the same, and not the wall.
+        let bumps: Vec<u32> =
+            (0..texels as u32).map(|t| if wall.contains(&(t as usize)) { u32::MAX } else { t }).collect();
+        let found = faces((&one, 1), &bumps, &adjacency, 100);
+        assert!(found[floor].iter().all(|f| *f == found[0]) && found[0] != found[texels - 1]);
+    }
 }
