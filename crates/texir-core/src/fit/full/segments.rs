@@ -87,7 +87,10 @@ fn faces((segment, segments): (&[u32], usize), surface: &[u32], adjacency: &Adja
     let (piece, count) = connected(segment.len(), adjacency, |a, b| of(a) == of(b));
     let mut texels = vec![0; count];
     piece.iter().for_each(|p| texels[*p as usize] += 1);
-    let of_texel = |(p, s): (&u32, &u32)| if texels[*p as usize] < least { *s } else { segments as u32 + p };
+    let mut numbers = segments as u32..;
+    let large: Vec<Option<u32>> =
+        texels.iter().map(|texels| if *texels >= least { numbers.next() } else { None }).collect();
+    let of_texel = |(p, s): (&u32, &u32)| large[*p as usize].unwrap_or(*s);
     piece.iter().zip(segment).map(of_texel).collect()
 }
 
