@@ -1,4 +1,4 @@
-//! Roughness that varies within a surface: worn tracks, wet spots, a polished patch.
+//! Roughness that varies within a segment: worn tracks, wet spots, a polished patch, a tiled wall among painted ones.
 //!
 //! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, a block has the one that
 //! explains the pixels of it and of those near it better. Near are those around it, as on a floor with a worn track, or
