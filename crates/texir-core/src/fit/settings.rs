@@ -185,6 +185,24 @@ impl Default for LocalSettings {
     }
 }
 
+/// How much segments say about each other's roughness: two of one class, room and colour 1, others less.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KinSettings {
+    /// Standard deviation of the differences between the mean albedos of what is of one material, in ln a.
+    pub colour: f32,
+    /// What those of one class in different rooms count.
+    pub other_room: f32,
+    /// What those of different classes count.
+    pub other_class: f32,
+}
+
+impl Default for KinSettings {
+    fn default() -> Self {
+        Self { colour: 0.25, other_room: 0.3, other_class: 0.1 }
+    }
+}
+
 /// Lines that divide a surface, as joints do boards and grout does tiles, and have a roughness of their own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -268,14 +286,10 @@ pub struct RoughnessSettings {
     pub min_cosine: f32,
     /// Largest roughness: beyond it lobes cannot be told apart.
     pub cap: f32,
-    /// Pull of everything on a class.
-    pub class_pull: f32,
-    /// Pull of a class on its part in a room.
-    pub room_pull: f32,
-    /// Pull of a class in a room on its segments.
-    pub segment_pull: f32,
-    /// Pixels that a segment must have to be believed half.
+    /// Pixels that a segment must have to be believed half; what it is akin to is worth as many.
     pub segment_pixels: f32,
+    /// What segments are akin to.
+    pub kin: KinSettings,
     /// Pull of a segment on each of its colours,
     pub colour_pull: f32,
     /// which must have this many pixels to be believed half.
@@ -428,10 +442,8 @@ impl Default for RoughnessSettings {
             iterations: 4,
             min_cosine: 0.3,
             cap: 0.88,
-            class_pull: 0.1,
-            room_pull: 0.15,
-            segment_pull: 0.3,
             segment_pixels: 100.0,
+            kin: KinSettings::default(),
             colour_pull: 1.0,
             colour_pixels: 100.0,
             local: LocalSettings::default(),
@@ -485,7 +497,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 39] {
+    fn checks(&self) -> [Check; 41] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -513,10 +525,12 @@ impl FullSettings {
             counts("full.roughness.iterations", r.iterations),
             ("full.roughness.min_cosine", r.min_cosine, (0.0..1.0).contains(&r.min_cosine), "in [0, 1)"),
             roughness("full.roughness.cap", r.cap),
-            not_negative("full.roughness.class_pull", r.class_pull),
-            not_negative("full.roughness.room_pull", r.room_pull),
-            not_negative("full.roughness.segment_pull", r.segment_pull),
+            positive("full.roughness.segment_pixels", r.segment_pixels),
+            positive("full.roughness.kin.colour", r.kin.colour),
+            share("full.roughness.kin.other_room", r.kin.other_room),
+            share("full.roughness.kin.other_class", r.kin.other_class),
             not_negative("full.roughness.colour_pull", r.colour_pull),
+            not_negative("full.roughness.colour_pixels", r.colour_pixels),
             positive("full.roughness.local.block", r.local.block),
             positive("full.roughness.local.gain", r.local.gain),
             not_negative("full.roughness.local.segment_pixels", r.local.segment_pixels),

@@ -16,7 +16,7 @@ use crate::fit::adjacency::NONE;
 use crate::fit::settings::LocalSettings;
 use crate::specular_table::NODES;
 
-/// Where the texels are, and what they belong to.
+/// Where the texels are, what they belong to, and which pixels see them.
 pub struct Surface<'a> {
     /// Columns of the atlas.
     pub width: usize,
@@ -26,47 +26,66 @@ pub struct Surface<'a> {
     pub segment: &'a [u32],
     /// The flat piece of it that each texel is in.
     pub face: &'a [u32],
-    /// Roughness of each segment as a whole.
-    pub whole: &'a [f32],
     /// The texel that each pixel sees most of, or [`NONE`].
     pub heaviest: &'a [u32],
     /// Half of the views that each pixel belongs to ([`Evidence::halves`]).
     pub half: &'a [u8],
-    /// Edge of a typical texel, metres.
-    pub texel_size: f32,
+    /// Edge of a block, texels.
+    pub block: f32,
 }
 
 /// Segment, face, column and row of a block.
-type Place = (u32, u32, i32, i32);
+pub type Place = (u32, u32, i32, i32);
 
 /// What the pixels of a block say, by half of the views.
-type Halves = [Tally; 2];
+pub type Halves = [Tally; 2];
 
-/// Roughness of every texel from what it is by its segment and colour.
-pub fn refine(surface: &Surface<'_>, evidence: &Evidence, roughness: &[f32], settings: &LocalSettings) -> Vec<f32> {
-    let side = (settings.block / surface.texel_size).round().max(2.0);
-    let column_row = |t: usize| {
-        let texel = surface.texels[t] as usize;
-        [(texel % surface.width) as f32 / side, (texel / surface.width) as f32 / side]
-    };
-    let mut blocks: BTreeMap<Place, Halves> = BTreeMap::new();
-    for (pixel, &t) in surface.heaviest.iter().enumerate().filter(|(_, t)| **t != NONE) {
-        let [x, y] = column_row(t as usize).map(|at| at as i32);
-        let halves = blocks.entry((surface.segment[t as usize], surface.face[t as usize], x, y)).or_default();
-        halves[usize::from(surface.half[pixel])].add(evidence, pixel);
+impl Surface<'_> {
+    /// The blocks that pixels see, in the order of their places.
+    pub fn blocks(&self, evidence: &Evidence) -> Vec<(Place, Halves)> {
+        let mut blocks: BTreeMap<Place, Halves> = BTreeMap::new();
+        for (pixel, &t) in self.heaviest.iter().enumerate().filter(|(_, t)| **t != NONE) {
+            let t = t as usize;
+            let [x, y] = self.column_row(t).map(|at| at as i32);
+            let halves = blocks.entry((self.segment[t], self.face[t], x, y)).or_default();
+            halves[usize::from(self.half[pixel])].add(evidence, pixel);
+        }
+        blocks.into_iter().collect()
     }
-    let blocks: Vec<(Place, Halves)> = blocks.into_iter().collect();
+
+    /// The four blocks that a texel lies between, and how near each is: what is blended so does not show the blocks.
+    pub fn between(&self, t: usize) -> [(Place, f32); 4] {
+        let [x, y] = self.column_row(t).map(|at| at - 0.5);
+        [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)].map(|(dx, dy)| {
+            let (bx, by) = (x.floor() + dx, y.floor() + dy);
+            let near = (1.0 - (x - bx).abs()) * (1.0 - (y - by).abs());
+            ((self.segment[t], self.face[t], bx as i32, by as i32), near)
+        })
+    }
+
+    /// Where a texel is, in blocks.
+    fn column_row(&self, t: usize) -> [f32; 2] {
+        let texel = self.texels[t] as usize;
+        [(texel % self.width) as f32 / self.block, (texel / self.width) as f32 / self.block]
+    }
+}
+
+/// Roughness of every texel from what it is by its segment and colour. `whole` is that of each segment, `blocks` what
+/// [`Surface::blocks`] holds.
+pub fn refine(
+    surface: &Surface<'_>,
+    blocks: &[(Place, Halves)],
+    whole: &[f32],
+    roughness: &[f32],
+    settings: &LocalSettings,
+) -> Vec<f32> {
     let segments: Vec<&[(Place, Halves)]> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
     let changes: BTreeMap<Place, f32> =
-        segments.into_par_iter().flat_map_iter(|blocks| two_finishes(blocks, surface.whole, settings)).collect();
-    // The change is blended between block centres, so that blocks are not seen.
+        segments.into_par_iter().flat_map_iter(|blocks| two_finishes(blocks, whole, settings)).collect();
     let blended = |t: usize| {
-        let [x, y] = column_row(t).map(|at| at - 0.5);
         let (mut sum, mut weight) = (0.0, 0.0);
-        for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-            let (bx, by) = (x.floor() + dx, y.floor() + dy);
-            if let Some(change) = changes.get(&(surface.segment[t], surface.face[t], bx as i32, by as i32)) {
-                let near = (1.0 - (x - bx).abs()) * (1.0 - (y - by).abs());
+        for (place, near) in surface.between(t) {
+            if let Some(change) = changes.get(&place) {
                 sum += near * change;
                 weight += near;
             }

@@ -9,9 +9,11 @@ pub mod bands;
 pub mod blocks;
 pub mod borders;
 pub mod colours;
+pub mod confidence;
 pub mod hidden;
 pub mod hierarchy;
 pub mod joints;
+pub mod kin;
 pub mod labels;
 pub mod local;
 pub mod metals;
@@ -34,13 +36,14 @@ use crate::bake::{self, Buried};
 use crate::capture::View;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
-use crate::fit::settings::{AlbedoSettings, FullSettings};
+use crate::fit::settings::{AlbedoSettings, FullSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::{AlbedoProblem, Roughness};
 use hierarchy::{Level, settle};
 use labels::Labels;
+use local::Surface;
 use observations::{Observations, Observer};
 use palette::Palettes;
 use segments::Segments;
@@ -126,14 +129,19 @@ fn recover(
     solve(&mut albedo, &of_texels, 1);
     let palettes = problem.palettes(&albedo, &settings.palette);
     let half = evidence.halves(&seen.views);
-    let mut roughness = by_colour(
-        &problem,
-        (atlas, texel),
-        (&palettes, &albedo),
-        (&segments.face, &by_segment),
-        (&evidence, &half),
-        settings,
-    );
+    let surface = Surface {
+        width: atlas.width,
+        texels: &atlas.texels,
+        segment: segment.0,
+        face: &segments.face,
+        heaviest: &heaviest(seen, &evidence),
+        half: &half,
+        block: (settings.roughness.local.block / texel).round().max(2.0),
+    };
+    let blocks = surface.blocks(&evidence);
+    let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
+    let mut roughness = local::refine(&surface, &blocks, &by_segment, &of_colours, &settings.roughness.local);
+    roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
     solve(&mut albedo, &roughness, 1);
     let joints = joints::find(&problem, &evidence, &half, (&albedo, &roughness), texel, &settings.roughness, progress)?;
     let with_joints =
@@ -159,8 +167,8 @@ fn recover(
         .collect();
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
-    let sure = hierarchy::confidence(&evidence, &evidence.segment, segments.count(), settings.roughness.segment_pixels);
-    let confidence: Vec<f32> = segments.segment.iter().map(|&s| sure[s as usize]).collect();
+    let of_segments = hierarchy::tallies(&evidence, &evidence.segment, segments.count());
+    let confidence = confidence::confidence(&surface, &blocks, &of_segments, &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
     Ok(Materials {
         albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
@@ -194,7 +202,7 @@ fn scan_models(
         problem.diffuse = diffuse;
         let mut albedo = problem.start();
         let evidence = scan::scan(problem, &diffuse.to_string(), &settings.roughness, &mut albedo, progress)?;
-        let by_segment = roughness(segments, &evidence, settings);
+        let by_segment = roughness(segments, &evidence, (&albedo, &problem.seen.is_seen), &settings.roughness);
         let grazing = evidence.grazing(&by_segment);
         if best.as_ref().is_none_or(|(least, _)| grazing < *least) {
             best = Some((grazing, Scanned { diffuse, albedo, evidence, by_segment }));
@@ -227,91 +235,63 @@ fn find_metals(
         .into_par_iter()
         .filter(|(_, _, metal)| **metal)
         .for_each(|(albedo, of_metal, _)| *albedo = of_metal);
-    scanned.by_segment = roughness(segments, &scanned.evidence, settings);
+    scanned.by_segment =
+        roughness(segments, &scanned.evidence, (&scanned.albedo, &problem.seen.is_seen), &settings.roughness);
     Ok(())
+}
+
+/// The texel that each pixel sees most of; [`NONE`] for pixels that do not count.
+fn heaviest(seen: &Observations, evidence: &scan::Evidence) -> Vec<u32> {
+    let of_pixel = |(p, segment): (usize, &u32)| {
+        let heaviest = seen.rows.row(p).iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
+        heaviest.filter(|_| *segment != NONE).map_or(NONE, |tap| tap.texel)
+    };
+    evidence.segment.par_iter().enumerate().map(of_pixel).collect()
 }
 
 /// Roughness of every texel, by the colours of its segment.
 fn by_colour(
-    problem: &AlbedoProblem<'_>,
-    (atlas, texel_size): (&Atlas, f32),
+    surface: &Surface<'_>,
     (palettes, albedo): (&Palettes, &[Vec3A]),
-    (face, by_segment): (&[u32], &[f32]),
-    (evidence, half): (&scan::Evidence, &[u8]),
-    settings: &FullSettings,
+    by_segment: &[f32],
+    evidence: &scan::Evidence,
+    settings: &RoughnessSettings,
 ) -> Vec<f32> {
-    let s = &settings.roughness;
     let most = palettes.most() as u32;
     let colour: Vec<u32> =
-        (problem.segment.0, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
-    let heaviest: Vec<u32> = evidence
-        .segment
-        .par_iter()
-        .enumerate()
-        .map(|(p, s)| {
-            let taps = problem.seen.rows.row(p);
-            let heaviest = taps.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
-            heaviest.filter(|_| *s != NONE).map_or(NONE, |tap| tap.texel)
-        })
-        .collect();
-    let group: Vec<u32> = heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
+        (surface.segment, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
+    let group: Vec<u32> = surface.heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
     let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
-    let level = Level { group: &group, parent: &parent, pull: s.colour_pull, half_believed: s.colour_pixels };
+    let (pull, pixels) = (settings.colour_pull, settings.colour_pixels);
+    let level = Level { group: &group, parent: &parent, pull, parent_pixels: pull * pixels };
     let settled = settle(evidence, &level);
-    let surface = local::Surface {
-        width: atlas.width,
-        texels: &atlas.texels,
-        segment: problem.segment.0,
-        face,
-        whole: by_segment,
-        heaviest: &heaviest,
-        half,
-        texel_size,
-    };
-    let coarse: Vec<f32> = colour.iter().map(|&g| settled[g as usize]).collect();
-    local::refine(&surface, evidence, &coarse, &s.local).into_iter().map(|r| r.min(s.cap)).collect()
+    colour.iter().map(|&g| settled[g as usize]).collect()
 }
 
-/// Roughness of every segment: everything → class → class in a room → segment.
-fn roughness(segments: &Segments, evidence: &scan::Evidence, settings: &FullSettings) -> Vec<f32> {
-    let s = &settings.roughness;
-    let of_pixels = |group: &dyn Fn(usize) -> u32| -> Vec<u32> {
-        evidence.segment.iter().map(|&s| if s == NONE { NONE } else { group(s as usize) }).collect()
+/// Roughness of every segment: by its pixels, drawn to what it is akin to.
+fn roughness(
+    segments: &Segments,
+    evidence: &scan::Evidence,
+    (albedo, is_seen): (&[Vec3A], &[bool]),
+    settings: &RoughnessSettings,
+) -> Vec<f32> {
+    let start = vec![settings.start; segments.count()];
+    let group = &evidence.segment[..];
+    let own = settle(evidence, &Level { group, parent: &start, pull: 0.0, parent_pixels: 0.0 });
+    let pixels: Vec<f32> =
+        hierarchy::tallies(evidence, group, segments.count()).iter().map(|tally| tally.pixels as f32).collect();
+    let colour = kin::colours((&segments.segment, segments.count()), albedo, is_seen);
+    let known = |s: usize| kin::Known {
+        class: segments.class[s],
+        class_in_room: segments.class_in_room[s],
+        colour: colour[s],
+        roughness: own[s].min(settings.cap),
+        believed: pixels[s] / (pixels[s] + settings.segment_pixels),
     };
-    let all = settle(
-        evidence,
-        &Level { group: &of_pixels(&|_| 0), parent: &[s.start], pull: s.class_pull, half_believed: 0.0 },
-    );
-    let classes = usize::from(segments.class.iter().copied().max().unwrap_or(0)) + 1;
-    let class = settle(
-        evidence,
-        &Level {
-            group: &of_pixels(&|s| u32::from(segments.class[s])),
-            parent: &vec![all[0]; classes],
-            pull: s.class_pull,
-            half_believed: 0.0,
-        },
-    );
-    let rooms = segments.class_in_room.iter().copied().max().unwrap_or(0) as usize + 1;
-    let mut parent = vec![all[0]; rooms];
-    for (s, r) in segments.class_in_room.iter().enumerate() {
-        parent[*r as usize] = class[usize::from(segments.class[s])];
-    }
-    let room = settle(
-        evidence,
-        &Level {
-            group: &of_pixels(&|s| segments.class_in_room[s]),
-            parent: &parent,
-            pull: s.room_pull,
-            half_believed: 0.0,
-        },
-    );
-    let parent: Vec<f32> = segments.class_in_room.iter().map(|&r| room[r as usize]).collect();
-    let segment = settle(
-        evidence,
-        &Level { group: &evidence.segment, parent: &parent, pull: s.segment_pull, half_believed: s.segment_pixels },
-    );
-    segment.into_iter().map(|r| r.min(s.cap)).collect()
+    let known: Vec<kin::Known> = (0..segments.count()).map(known).collect();
+    let akin = kin::roughness(&known, settings.start, &settings.kin);
+    let settled = settle(evidence, &Level { group, parent: &akin, pull: 0.0, parent_pixels: settings.segment_pixels });
+    settled.into_iter().map(|r| r.min(settings.cap)).collect()
 }
 
 #[cfg(test)]

@@ -70,7 +70,8 @@ impl Palettes {
     }
 }
 
-fn log(albedo: Vec3A) -> Vec3A {
+/// Colour as it is compared: the logarithm of albedo.
+pub fn log(albedo: Vec3A) -> Vec3A {
     let a = albedo + BLACK;
     Vec3A::new(a.x.ln(), a.y.ln(), a.z.ln())
 }

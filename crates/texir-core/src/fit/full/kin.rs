@@ -1,0 +1,141 @@
+//! What is to be expected of a segment whose own pixels say little: that it is like what it is akin to.
+//!
+//! What looks alike is of one material more often than what is called alike. The rod of a curtain is wood or metal, like the legs of
+//! tables and unlike the cloth that hangs from it; the frame of a bed is not its mattress. Every segment that knows its own
+//! roughness speaks for all others, the more the more they are alike in colour, class and room: kernel regression
+//! (Nadaraya, "On Estimating Regression", 1964; Watson, "Smooth Regression Analysis", 1964) of ln r.
+
+use glam::Vec3A;
+use rayon::prelude::*;
+
+use super::palette::log;
+use crate::fit::settings::KinSettings;
+
+/// Seen texels from which on the colour of a segment is known.
+const COLOUR_TEXELS: u32 = 20;
+/// What every segment counts for every other one.
+const STRANGERS: f32 = 1e-3;
+
+/// What is known of a segment.
+#[derive(Clone, Copy, Debug)]
+pub struct Known {
+    /// Its semantic class,
+    pub class: u16,
+    /// and the number of that class in its room.
+    pub class_in_room: u32,
+    /// The logarithm of its mean albedo, where enough of it is seen.
+    pub colour: Option<Vec3A>,
+    /// Its roughness by its own pixels,
+    pub roughness: f32,
+    /// and how far these are believed, 0 to 1.
+    pub believed: f32,
+}
+
+/// The roughness to be expected of every segment by that of the others; `start` where none knows anything.
+pub fn roughness(segments: &[Known], start: f32, settings: &KinSettings) -> Vec<f32> {
+    let speak: Vec<(usize, &Known)> = segments.iter().enumerate().filter(|(_, known)| known.believed > 0.0).collect();
+    let expected = |(i, own): (usize, &Known)| {
+        let others = speak.iter().filter(|(j, _)| *j != i);
+        let (sum, weight) = others.fold((0.0, 0.0), |(sum, weight), (_, other)| {
+            let w = other.believed * (alike(own, other, settings) + STRANGERS);
+            (sum + w * other.roughness.ln(), weight + w)
+        });
+        if weight > 0.0 { (sum / weight).exp() } else { start }
+    };
+    segments.par_iter().enumerate().map(expected).collect()
+}
+
+/// How much one segment says about another.
+fn alike(a: &Known, b: &Known, settings: &KinSettings) -> f32 {
+    let called = match (a.class == b.class, a.class_in_room == b.class_in_room) {
+        (_, true) => 1.0,
+        (true, false) => settings.other_room,
+        (false, false) => settings.other_class,
+    };
+    let looks = match (a.colour, b.colour) {
+        (Some(a), Some(b)) => (-0.5 * a.distance_squared(b) / settings.colour.powi(2)).exp(),
+        _ => 1.0,
+    };
+    called * looks
+}
+
+/// The logarithm of each segment's mean albedo, over the texels that are seen. `segment` has a number per texel, and their count.
+pub fn colours(segment: (&[u32], usize), albedo: &[Vec3A], is_seen: &[bool]) -> Vec<Option<Vec3A>> {
+    let mut sums = vec![(Vec3A::ZERO, 0_u32); segment.1];
+    for ((s, a), _) in segment.0.iter().zip(albedo).zip(is_seen).filter(|(_, seen)| **seen) {
+        let (sum, count) = &mut sums[*s as usize];
+        *sum += *a;
+        *count += 1;
+    }
+    let mean = |(sum, count): (Vec3A, u32)| (count >= COLOUR_TEXELS).then(|| log(sum / count as f32));
+    sums.into_iter().map(mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLOTH: Vec3A = Vec3A::new(0.6, 0.6, 0.55);
+    const WOOD: Vec3A = Vec3A::new(0.3, 0.18, 0.1);
+
+    fn known(class: u16, room: u32, albedo: Vec3A, roughness: f32) -> Known {
+        Known {
+            class,
+            class_in_room: 10 * room + u32::from(class),
+            colour: Some(log(albedo)),
+            roughness,
+            believed: 1.0,
+        }
+    }
+
+    fn unknown(class: u16, room: u32, colour: Option<Vec3A>) -> Known {
+        Known { colour: colour.map(log), believed: 0.0, ..known(class, room, CLOTH, 0.03) }
+    }
+
+    #[test]
+    fn a_rod_is_like_wood_and_not_like_the_curtain_that_it_is_called() {
+        const CURTAIN: u16 = 1;
+        const TABLE: u16 = 2;
+        let mut segments =
+            vec![known(CURTAIN, 0, CLOTH, 0.85), known(TABLE, 0, WOOD, 0.3), known(TABLE, 1, CLOTH, 0.5)];
+        let of = |segments: &mut Vec<Known>, asked: Known| {
+            segments.push(asked);
+            let expected = roughness(segments, 0.5, &KinSettings::default());
+            segments.pop();
+            *expected.last().unwrap()
+        };
+        let rod = of(&mut segments, unknown(CURTAIN, 0, Some(WOOD * 1.1)));
+        let cloth = of(&mut segments, unknown(CURTAIN, 0, Some(CLOTH * 0.9)));
+        let hidden = of(&mut segments, unknown(CURTAIN, 0, None));
+        let upstairs = of(&mut segments, unknown(TABLE, 1, Some(CLOTH)));
+        assert!((rod - 0.3).abs() < 0.03 && cloth > 0.75, "{rod} {cloth}");
+        // Of what is not seen nothing is known but what it is called.
+        assert!((0.6..cloth).contains(&hidden) && (0.5..0.6).contains(&upstairs), "{hidden} {upstairs}");
+        // Negative control: where colours say nothing, the rod is a curtain.
+        let blind = KinSettings { colour: 1e3, ..KinSettings::default() };
+        segments.push(unknown(CURTAIN, 0, Some(WOOD)));
+        assert!((roughness(&segments, 0.5, &blind)[3] - hidden).abs() < 1e-3);
+    }
+
+    #[test]
+    fn nothing_known_is_the_start_and_nobody_speaks_for_himself() {
+        let settings = KinSettings::default();
+        assert_eq!(roughness(&[unknown(1, 0, None), unknown(2, 0, Some(WOOD))], 0.5, &settings), [0.5; 2]);
+        let alone = roughness(&[known(1, 0, WOOD, 0.2), known(1, 0, WOOD, 0.8)], 0.5, &settings);
+        assert!((alone[0] - 0.8).abs() < 1e-6 && (alone[1] - 0.2).abs() < 1e-6, "{alone:?}");
+        // Whoever is believed less says less.
+        let faint = Known { believed: 0.01, ..known(1, 0, WOOD, 0.8) };
+        let third = roughness(&[unknown(1, 0, Some(WOOD)), known(1, 0, WOOD, 0.2), faint], 0.5, &settings)[0];
+        assert!((third - 0.2).abs() < 0.01, "{third}");
+    }
+
+    #[test]
+    fn colours_are_those_of_what_is_seen() {
+        let segment: Vec<u32> = (0..100).map(|t| t / 50).collect();
+        let is_seen: Vec<bool> = (0..100).map(|t| t < 25 || (50..55).contains(&t)).collect();
+        let albedo: Vec<Vec3A> = is_seen.iter().map(|seen| if *seen { WOOD } else { CLOTH }).collect();
+        let found = colours((&segment, 2), &albedo, &is_seen);
+        assert!((found[0].unwrap() - log(WOOD)).abs().max_element() < 1e-5);
+        assert_eq!(found[1], None);
+    }
+}
