@@ -13,16 +13,23 @@ use super::scan::{Evidence, Tally, minimum};
 use crate::fit::adjacency::NONE;
 use crate::specular_table::node;
 
+/// What a group is drawn to.
+#[derive(Clone, Copy, Debug)]
+pub struct Parent {
+    /// Its roughness,
+    pub roughness: f32,
+    /// which counts as that of so many pixels.
+    pub pixels: f32,
+}
+
 /// One level of the hierarchy.
 pub struct Level<'a> {
     /// Group of each pixel, or [`NONE`].
     pub group: &'a [u32],
-    /// Roughness of each group's parent.
-    pub parent: &'a [f32],
-    /// Weight of the parent's value, however many pixels there are.
+    /// Parent of each group.
+    pub parent: &'a [Parent],
+    /// Weight of the parent's roughness however many pixels there are.
     pub pull: f32,
-    /// Weight of the parent's value in a group of one pixel, less in proportion in one of several.
-    pub parent_pixels: f32,
 }
 
 /// Roughness of every group of a level; a group without evidence takes its parent's.
@@ -32,11 +39,11 @@ pub fn settle(evidence: &Evidence, level: &Level<'_>) -> Vec<f32> {
         .zip(level.parent)
         .map(|(tally, parent)| {
             if tally.pixels == 0.0 {
-                return *parent;
+                return parent.roughness;
             }
             let misfit = tally.misfit();
-            let pull = level.pull + level.parent_pixels / tally.pixels as f32;
-            minimum(&std::array::from_fn(|k| misfit[k] + pull * (2.0 * (node(k) - parent)).powi(2)))
+            let pull = level.pull + parent.pixels / tally.pixels as f32;
+            minimum(&std::array::from_fn(|k| misfit[k] + pull * (2.0 * (node(k) - parent.roughness)).powi(2)))
         })
         .collect()
 }

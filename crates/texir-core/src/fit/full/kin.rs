@@ -8,13 +8,16 @@
 use glam::Vec3A;
 use rayon::prelude::*;
 
+use super::hierarchy::Parent;
 use super::palette::log;
-use crate::fit::settings::KinSettings;
+use crate::fit::settings::{KinSettings, RoughnessSettings};
 
 /// Seen texels from which on the colour of a segment is known.
 const COLOUR_TEXELS: u32 = 20;
 /// What every segment counts for every other one.
 const STRANGERS: f32 = 1e-3;
+/// Likeness to others, in sum, of which half is believed.
+const ENOUGH: f32 = 0.1;
 
 /// What is known of a segment.
 #[derive(Clone, Copy, Debug)]
@@ -31,16 +34,18 @@ pub struct Known {
     pub believed: f32,
 }
 
-/// The roughness to be expected of every segment by that of the others; `start` where none knows anything.
-pub fn roughness(segments: &[Known], start: f32, settings: &KinSettings) -> Vec<f32> {
+/// What every segment is drawn to: the roughness to be expected of it by that of the others, worth the pixels at which a segment is
+/// believed half, or less where there are only strangers; [`RoughnessSettings::start`] where nobody knows anything.
+pub fn parents(segments: &[Known], settings: &RoughnessSettings) -> Vec<Parent> {
     let speak: Vec<(usize, &Known)> = segments.iter().enumerate().filter(|(_, known)| known.believed > 0.0).collect();
     let expected = |(i, own): (usize, &Known)| {
         let others = speak.iter().filter(|(j, _)| *j != i);
         let (sum, weight) = others.fold((0.0, 0.0), |(sum, weight), (_, other)| {
-            let w = other.believed * (alike(own, other, settings) + STRANGERS);
+            let w = other.believed * (alike(own, other, &settings.kin) + STRANGERS);
             (sum + w * other.roughness.ln(), weight + w)
         });
-        if weight > 0.0 { (sum / weight).exp() } else { start }
+        let roughness = if weight > 0.0 { (sum / weight).exp() } else { settings.start };
+        Parent { roughness, pixels: settings.segment_pixels * weight / (weight + ENOUGH) }
     };
     segments.par_iter().enumerate().map(expected).collect()
 }
@@ -77,6 +82,8 @@ mod tests {
 
     const CLOTH: Vec3A = Vec3A::new(0.6, 0.6, 0.55);
     const WOOD: Vec3A = Vec3A::new(0.3, 0.18, 0.1);
+    const CURTAIN: u16 = 1;
+    const TABLE: u16 = 2;
 
     fn known(class: u16, room: u32, albedo: Vec3A, roughness: f32) -> Known {
         Known {
@@ -92,40 +99,45 @@ mod tests {
         Known { colour: colour.map(log), believed: 0.0, ..known(class, room, CLOTH, 0.03) }
     }
 
+    /// What is expected of one more segment.
+    fn expected(others: &[Known], asked: Known, settings: &RoughnessSettings) -> Parent {
+        let all: Vec<Known> = others.iter().copied().chain([asked]).collect();
+        *parents(&all, settings).last().unwrap()
+    }
+
     #[test]
     fn a_rod_is_like_wood_and_not_like_the_curtain_that_it_is_called() {
-        const CURTAIN: u16 = 1;
-        const TABLE: u16 = 2;
-        let mut segments =
-            vec![known(CURTAIN, 0, CLOTH, 0.85), known(TABLE, 0, WOOD, 0.3), known(TABLE, 1, CLOTH, 0.5)];
-        let of = |segments: &mut Vec<Known>, asked: Known| {
-            segments.push(asked);
-            let expected = roughness(segments, 0.5, &KinSettings::default());
-            segments.pop();
-            *expected.last().unwrap()
+        let others = [known(CURTAIN, 0, CLOTH, 0.85), known(TABLE, 0, WOOD, 0.3), known(TABLE, 1, CLOTH, 0.5)];
+        let of = |class, room, colour| {
+            expected(&others, unknown(class, room, colour), &RoughnessSettings::default()).roughness
         };
-        let rod = of(&mut segments, unknown(CURTAIN, 0, Some(WOOD * 1.1)));
-        let cloth = of(&mut segments, unknown(CURTAIN, 0, Some(CLOTH * 0.9)));
-        let hidden = of(&mut segments, unknown(CURTAIN, 0, None));
-        let upstairs = of(&mut segments, unknown(TABLE, 1, Some(CLOTH)));
+        let rod = of(CURTAIN, 0, Some(WOOD * 1.1));
+        let cloth = of(CURTAIN, 0, Some(CLOTH * 0.9));
+        let hidden = of(CURTAIN, 0, None);
+        let upstairs = of(TABLE, 1, Some(CLOTH));
         assert!((rod - 0.3).abs() < 0.03 && cloth > 0.75, "{rod} {cloth}");
         // Of what is not seen nothing is known but what it is called.
         assert!((0.6..cloth).contains(&hidden) && (0.5..0.6).contains(&upstairs), "{hidden} {upstairs}");
         // Negative control: where colours say nothing, the rod is a curtain.
         let blind = KinSettings { colour: 1e3, ..KinSettings::default() };
-        segments.push(unknown(CURTAIN, 0, Some(WOOD)));
-        assert!((roughness(&segments, 0.5, &blind)[3] - hidden).abs() < 1e-3);
+        let blind = RoughnessSettings { kin: blind, ..RoughnessSettings::default() };
+        let rod = expected(&others, unknown(CURTAIN, 0, Some(WOOD)), &blind).roughness;
+        assert!((rod - hidden).abs() < 1e-3, "{rod} {hidden}");
     }
 
     #[test]
-    fn nothing_known_is_the_start_and_nobody_speaks_for_himself() {
-        let settings = KinSettings::default();
-        assert_eq!(roughness(&[unknown(1, 0, None), unknown(2, 0, Some(WOOD))], 0.5, &settings), [0.5; 2]);
-        let alone = roughness(&[known(1, 0, WOOD, 0.2), known(1, 0, WOOD, 0.8)], 0.5, &settings);
-        assert!((alone[0] - 0.8).abs() < 1e-6 && (alone[1] - 0.2).abs() < 1e-6, "{alone:?}");
+    fn nobody_speaks_for_himself_and_strangers_hardly_for_others() {
+        let settings = RoughnessSettings::default();
+        let nothing = expected(&[unknown(CURTAIN, 0, None)], unknown(TABLE, 0, Some(WOOD)), &settings);
+        assert_eq!((nothing.roughness, nothing.pixels), (settings.start, 0.0));
+        let [first, second] = [known(TABLE, 0, WOOD, 0.2), known(TABLE, 0, WOOD, 0.8)];
+        let twin = expected(&[first], second, &settings);
+        assert!((twin.roughness - 0.2).abs() < 1e-6 && twin.pixels > 0.9 * settings.segment_pixels, "{twin:?}");
+        let stranger = expected(&[known(CURTAIN, 0, CLOTH, 0.85)], second, &settings);
+        assert!(stranger.roughness > 0.8 && stranger.pixels < 0.02 * settings.segment_pixels, "{stranger:?}");
         // Whoever is believed less says less.
-        let faint = Known { believed: 0.01, ..known(1, 0, WOOD, 0.8) };
-        let third = roughness(&[unknown(1, 0, Some(WOOD)), known(1, 0, WOOD, 0.2), faint], 0.5, &settings)[0];
+        let faint = Known { believed: 0.01, ..second };
+        let third = expected(&[first, faint], unknown(TABLE, 0, Some(WOOD)), &settings).roughness;
         assert!((third - 0.2).abs() < 0.01, "{third}");
     }
 

@@ -24,6 +24,7 @@ pub mod scan;
 pub mod segments;
 
 use std::f32::consts::PI;
+use std::iter::repeat_n;
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -41,7 +42,7 @@ use crate::lights::Lights;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::{AlbedoProblem, Roughness};
-use hierarchy::{Level, settle};
+use hierarchy::{Level, Parent, settle};
 use labels::Labels;
 use local::Surface;
 use observations::{Observations, Observer};
@@ -261,10 +262,9 @@ fn by_colour(
     let colour: Vec<u32> =
         (surface.segment, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
     let group: Vec<u32> = surface.heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
-    let parent: Vec<f32> = (0..by_segment.len() * most as usize).map(|g| by_segment[g / most as usize]).collect();
-    let (pull, pixels) = (settings.colour_pull, settings.colour_pixels);
-    let level = Level { group: &group, parent: &parent, pull, parent_pixels: pull * pixels };
-    let settled = settle(evidence, &level);
+    let of_segment = |roughness: &f32| Parent { roughness: *roughness, pixels: settings.colour_pixels };
+    let parent: Vec<Parent> = by_segment.iter().flat_map(|r| repeat_n(of_segment(r), most as usize)).collect();
+    let settled = settle(evidence, &Level { group: &group, parent: &parent, pull: settings.colour_pull });
     colour.iter().map(|&g| settled[g as usize]).collect()
 }
 
@@ -275,23 +275,21 @@ fn roughness(
     (albedo, is_seen): (&[Vec3A], &[bool]),
     settings: &RoughnessSettings,
 ) -> Vec<f32> {
-    let start = vec![settings.start; segments.count()];
     let group = &evidence.segment[..];
-    let own = settle(evidence, &Level { group, parent: &start, pull: 0.0, parent_pixels: 0.0 });
-    let pixels: Vec<f32> =
-        hierarchy::tallies(evidence, group, segments.count()).iter().map(|tally| tally.pixels as f32).collect();
+    let free = vec![Parent { roughness: settings.start, pixels: 0.0 }; segments.count()];
+    let own = settle(evidence, &Level { group, parent: &free, pull: 0.0 });
+    let tallies = hierarchy::tallies(evidence, group, segments.count());
     let colour = kin::colours((&segments.segment, segments.count()), albedo, is_seen);
     let known = |s: usize| kin::Known {
         class: segments.class[s],
         class_in_room: segments.class_in_room[s],
         colour: colour[s],
         roughness: own[s].min(settings.cap),
-        believed: pixels[s] / (pixels[s] + settings.segment_pixels),
+        believed: tallies[s].pixels as f32 / (tallies[s].pixels as f32 + settings.segment_pixels),
     };
     let known: Vec<kin::Known> = (0..segments.count()).map(known).collect();
-    let akin = kin::roughness(&known, settings.start, &settings.kin);
-    let settled = settle(evidence, &Level { group, parent: &akin, pull: 0.0, parent_pixels: settings.segment_pixels });
-    settled.into_iter().map(|r| r.min(settings.cap)).collect()
+    let parent = kin::parents(&known, settings);
+    settle(evidence, &Level { group, parent: &parent, pull: 0.0 }).into_iter().map(|r| r.min(settings.cap)).collect()
 }
 
 #[cfg(test)]
