@@ -199,7 +199,7 @@ pub struct KinSettings {
 
 impl Default for KinSettings {
     fn default() -> Self {
-        Self { colour: 0.25, other_room: 0.3, other_class: 0.1 }
+        Self { colour: 0.25, other_room: 0.3, other_class: 0.2 }
     }
 }
 
@@ -286,6 +286,12 @@ pub struct RoughnessSettings {
     pub min_cosine: f32,
     /// Largest roughness: beyond it lobes cannot be told apart.
     pub cap: f32,
+    /// Pull of everything on a class.
+    pub class_pull: f32,
+    /// Pull of a class on its part in a room.
+    pub room_pull: f32,
+    /// Pull of a class in a room on its segments.
+    pub segment_pull: f32,
     /// Pixels that a segment must have to be believed half; what it is akin to is worth as many.
     pub segment_pixels: f32,
     /// What segments are akin to.
@@ -442,6 +448,9 @@ impl Default for RoughnessSettings {
             iterations: 4,
             min_cosine: 0.3,
             cap: 0.88,
+            class_pull: 0.1,
+            room_pull: 0.15,
+            segment_pull: 0.3,
             segment_pixels: 100.0,
             kin: KinSettings::default(),
             colour_pull: 1.0,
@@ -497,7 +506,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 41] {
+    fn checks(&self) -> [Check; 44] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
         let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
@@ -525,6 +534,9 @@ impl FullSettings {
             counts("full.roughness.iterations", r.iterations),
             ("full.roughness.min_cosine", r.min_cosine, (0.0..1.0).contains(&r.min_cosine), "in [0, 1)"),
             roughness("full.roughness.cap", r.cap),
+            not_negative("full.roughness.class_pull", r.class_pull),
+            not_negative("full.roughness.room_pull", r.room_pull),
+            not_negative("full.roughness.segment_pull", r.segment_pull),
             positive("full.roughness.segment_pixels", r.segment_pixels),
             positive("full.roughness.kin.colour", r.kin.colour),
             share("full.roughness.kin.other_room", r.kin.other_room),

@@ -45,7 +45,7 @@ pub fn parents(segments: &[Known], settings: &RoughnessSettings) -> Vec<Parent> 
             (sum + w * other.roughness.ln(), weight + w)
         });
         let roughness = if weight > 0.0 { (sum / weight).exp() } else { settings.start };
-        Parent { roughness, pixels: settings.segment_pixels * weight / (weight + ENOUGH) }
+        Parent::of_pixels(roughness, settings.segment_pixels * weight / (weight + ENOUGH))
     };
     segments.par_iter().enumerate().map(expected).collect()
 }

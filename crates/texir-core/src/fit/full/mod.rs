@@ -42,7 +42,7 @@ use crate::lights::Lights;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::{AlbedoProblem, Roughness};
-use hierarchy::{Level, Parent, settle};
+use hierarchy::{Parent, settle};
 use labels::Labels;
 use local::Surface;
 use observations::{Observations, Observer};
@@ -262,34 +262,55 @@ fn by_colour(
     let colour: Vec<u32> =
         (surface.segment, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
     let group: Vec<u32> = surface.heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
-    let of_segment = |roughness: &f32| Parent { roughness: *roughness, pixels: settings.colour_pixels };
-    let parent: Vec<Parent> = by_segment.iter().flat_map(|r| repeat_n(of_segment(r), most as usize)).collect();
-    let settled = settle(evidence, &Level { group: &group, parent: &parent, pull: settings.colour_pull });
+    let (pull, pixels) = (settings.colour_pull, settings.colour_pull * settings.colour_pixels);
+    let of_segment = |roughness: &f32| [Parent { roughness: *roughness, pull, pixels }];
+    let parent: Vec<[Parent; 1]> = by_segment.iter().flat_map(|r| repeat_n(of_segment(r), most as usize)).collect();
+    let settled = settle(evidence, &group, &parent);
     colour.iter().map(|&g| settled[g as usize]).collect()
 }
 
-/// Roughness of every segment: by its pixels, drawn to what it is akin to.
+/// Roughness of every segment: everything → class → class in a room → segment, which is drawn to what it is akin to besides.
 fn roughness(
     segments: &Segments,
     evidence: &scan::Evidence,
     (albedo, is_seen): (&[Vec3A], &[bool]),
     settings: &RoughnessSettings,
 ) -> Vec<f32> {
+    let s = settings;
+    let of_pixels = |group: &dyn Fn(usize) -> u32| -> Vec<u32> {
+        evidence.segment.iter().map(|&s| if s == NONE { NONE } else { group(s as usize) }).collect()
+    };
+    let all = settle(evidence, &of_pixels(&|_| 0), &[[Parent::pulling(s.start, s.class_pull)]])[0];
+    let classes = usize::from(segments.class.iter().copied().max().unwrap_or(0)) + 1;
+    let class = settle(
+        evidence,
+        &of_pixels(&|s| u32::from(segments.class[s])),
+        &vec![[Parent::pulling(all, s.class_pull)]; classes],
+    );
+    let rooms = segments.class_in_room.iter().copied().max().unwrap_or(0) as usize + 1;
+    let mut parent = vec![[Parent::pulling(all, s.room_pull)]; rooms];
+    for (class_in_room, of) in segments.class_in_room.iter().zip(&segments.class) {
+        parent[*class_in_room as usize] = [Parent::pulling(class[usize::from(*of)], s.room_pull)];
+    }
+    let room = settle(evidence, &of_pixels(&|s| segments.class_in_room[s]), &parent);
+
+    let of_room: Vec<Parent> =
+        segments.class_in_room.iter().map(|&r| Parent::pulling(room[r as usize], s.segment_pull)).collect();
     let group = &evidence.segment[..];
-    let free = vec![Parent { roughness: settings.start, pixels: 0.0 }; segments.count()];
-    let own = settle(evidence, &Level { group, parent: &free, pull: 0.0 });
+    let alone = settle(evidence, group, &of_room.iter().map(|room| [*room]).collect::<Vec<_>>());
     let tallies = hierarchy::tallies(evidence, group, segments.count());
     let colour = kin::colours((&segments.segment, segments.count()), albedo, is_seen);
-    let known = |s: usize| kin::Known {
-        class: segments.class[s],
-        class_in_room: segments.class_in_room[s],
-        colour: colour[s],
-        roughness: own[s].min(settings.cap),
-        believed: tallies[s].pixels as f32 / (tallies[s].pixels as f32 + settings.segment_pixels),
+    let known = |i: usize| kin::Known {
+        class: segments.class[i],
+        class_in_room: segments.class_in_room[i],
+        colour: colour[i],
+        roughness: alone[i].min(s.cap),
+        believed: tallies[i].pixels as f32 / (tallies[i].pixels as f32 + s.segment_pixels),
     };
     let known: Vec<kin::Known> = (0..segments.count()).map(known).collect();
-    let parent = kin::parents(&known, settings);
-    settle(evidence, &Level { group, parent: &parent, pull: 0.0 }).into_iter().map(|r| r.min(settings.cap)).collect()
+    let parents: Vec<[Parent; 2]> =
+        of_room.into_iter().zip(kin::parents(&known, s)).map(|(room, kin)| [room, kin]).collect();
+    settle(evidence, group, &parents).into_iter().map(|r| r.min(s.cap)).collect()
 }
 
 #[cfg(test)]

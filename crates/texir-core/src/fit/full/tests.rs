@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
-use super::hierarchy::{Level, Parent, settle};
+use super::hierarchy::{Parent, settle};
 use super::joints;
 use super::observations::Observations;
 use super::scan::{Evidence, cost, minimum, scan};
@@ -124,11 +124,6 @@ impl Toy {
     }
 }
 
-/// A parent that does not draw.
-fn free(roughness: f32) -> Parent {
-    Parent { roughness, pixels: 0.0 }
-}
-
 #[test]
 fn the_scan_recovers_roughness_under_a_small_lamp() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
@@ -138,8 +133,7 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
         let mut albedo = problem.start();
         let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
-        let level = Level { group: &group, parent: &[free(0.5)], pull: 0.0 };
-        let found = settle(&evidence, &level)[0];
+        let found = settle(&evidence, &group, &[[]])[0];
         assert!((found - truth).abs() < 0.02, "r {truth}: found {found}");
     }
 }
@@ -292,13 +286,17 @@ fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_i
     cost[8] = half::f16::ZERO;
     let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![] };
     let settled = |pull, pixels| {
-        let parent = [0.8, 0.6].map(|roughness| Parent { roughness, pixels });
-        settle(&evidence, &Level { group: &[0], parent: &parent, pull })
+        let parents = [0.8, 0.6].map(|roughness| [Parent { roughness, pull, pixels }]);
+        settle(&evidence, &[0], &parents)
     };
     let own = crate::specular_table::node(8);
     assert!((settled(0.0, 0.0)[0] - own).abs() < 1e-3 && settled(0.0, 0.0)[1] == 0.6);
     assert!(settled(100.0, 0.0)[0] > 0.75, "a strong pull wins");
     assert!(settled(0.0, 500.0)[0] > 0.75, "one pixel beside 500 is not believed");
+    // Of several parents, those that count as pixels speak where there are none.
+    let mean = |parents: [Parent; 3]| settle(&evidence, &[0], &[parents; 2])[1];
+    let [near, far, room] = [Parent::of_pixels(0.2, 30.0), Parent::of_pixels(0.6, 10.0), Parent::pulling(0.9, 0.3)];
+    assert!((mean([near, far, room]) - 0.3).abs() < 1e-6 && (mean([room; 3]) - 0.9).abs() < 1e-6);
 }
 
 #[test]
@@ -438,8 +436,7 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
     };
     let settled = |say: Vec<f32>| {
         let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say, slope: vec![] };
-        let level = Level { group: &evidence.segment, parent: &[free(0.5)], pull: 0.0 };
-        nearest_node(settle(&evidence, &level)[0])
+        nearest_node(settle(&evidence, &evidence.segment, &[[]])[0])
     };
     assert!(settled(say) < nearest_node(0.2));
     // Negative control: every pixel alike.
