@@ -103,11 +103,19 @@ pub fn refine(
 fn two_finishes(blocks: &[(Place, Halves)], whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
     let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
     let all = Tally::sum(own.iter());
-    let Some(pair) = best_pair(&own) else { return Vec::new() };
+    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| [smooth, rough]));
+    let of_pair = |[smooth, rough]: [usize; 2]| -> f64 {
+        own.iter().map(|block| block.cost[smooth].min(block.cost[rough])).sum()
+    };
+    let best = pairs.map(|pair| (of_pair(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let (Some((_, pair)), true) = (best, all.pixels > 0.0) else { return Vec::new() };
     let at = |tally: &Tally| pair.map(|node| tally.cost[node]);
     let better = |[smooth, rough]: [f64; 2]| if smooth < rough { pair[0] } else { pair[1] };
 
-    let judged = [around(blocks), of_faces(blocks)].map(|near| (agreement(blocks, &near), near));
+    let judged = [around(blocks), of_faces(blocks)].map(|near| {
+        let asked = |i: usize, half: usize| better(at(&near[i][half]));
+        (agreement(blocks, &near, &asked), near)
+    });
     let Some((agreement, near)) = judged.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return Vec::new() };
     let near: Vec<[f64; 2]> = near.iter().map(|halves| at(&Tally::sum(halves.iter()))).collect();
     let others = |i: usize| -> [f64; 2] { std::array::from_fn(|k| near[i][k] - at(&own[i])[k]) };
@@ -135,35 +143,20 @@ fn half_at(half: f32, value: f32) -> f32 {
     (value / half - 0.5).clamp(0.0, 1.0)
 }
 
-/// The two finishes that explain blocks best, the smoother first, if each has the one that suits it; `None` without pixels.
-fn best_pair(blocks: &[Tally]) -> Option<[usize; 2]> {
-    if blocks.iter().all(|block| block.pixels == 0.0) {
-        return None;
-    }
-    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| [smooth, rough]));
-    let cost = |[smooth, rough]: [usize; 2]| -> f64 {
-        blocks.iter().map(|block| block.cost[smooth].min(block.cost[rough])).sum()
-    };
-    let best = pairs.map(|pair| (cost(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
-    best.map(|(_, pair)| pair)
-}
-
-/// By how much the logarithm of the mean cost falls when each half of the views is explained by the two finishes that the other
-/// half asks for, each block by the one that the other half asks for near it, instead of by the one finish that the other
-/// half asks for; 0 where no block is seen by both.
-fn agreement(blocks: &[(Place, Halves)], near: &[Halves]) -> f32 {
+/// By how much the logarithm of the mean cost falls when each half of the views is explained by the finishes that the other
+/// half asks for near a block, instead of by the one that the other half asks for; 0 where no block is seen by both. `asked` says
+/// which finish half of the views asks for near a block.
+fn agreement(blocks: &[(Place, Halves)], near: &[Halves], asked: &impl Fn(usize, usize) -> usize) -> f32 {
     let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
     for (mine, other) in [(0, 1), (1, 0)] {
-        let theirs: Vec<Tally> = blocks.iter().map(|(_, halves)| halves[other]).collect();
-        let Some([smooth, rough]) = best_pair(&theirs) else { return 0.0 };
-        let all = Tally::sum(theirs.iter());
+        let all = Tally::sum(blocks.iter().map(|(_, halves)| &halves[other]));
         let single = (0..NODES).min_by(|a, b| all.cost[*a].total_cmp(&all.cost[*b])).unwrap_or(0);
-        for ((_, halves), near) in blocks.iter().zip(near) {
-            let (block, near) = (&halves[mine], &near[other]);
-            if near.pixels > 0.0 && block.pixels > 0.0 {
+        for (i, (_, halves)) in blocks.iter().enumerate() {
+            let block = &halves[mine];
+            if near[i][other].pixels > 0.0 && block.pixels > 0.0 {
                 judged = Tally::sum([&judged, block].into_iter());
                 one += block.cost[single];
-                two += block.cost[if near.cost[smooth] < near.cost[rough] { smooth } else { rough }];
+                two += block.cost[asked(i, other)];
             }
         }
     }
