@@ -106,7 +106,7 @@ mod tests {
             segment: pixels().map(|(s, _)| counts(s, s)).collect(),
             cost: pixels().map(cost).collect(),
             say: pixels().map(|_| 1.0).collect(),
-            slope: vec![],
+            slope: vec![[0.0; NODES]; SEGMENTS as usize],
         };
         let heaviest: Vec<u32> = pixels().map(|(s, column)| counts(s, s * COLUMNS as u32 + column)).collect();
         let surface = Surface {
@@ -118,8 +118,7 @@ mod tests {
             half: &vec![0; heaviest.len()],
             block: 4.0,
         };
-        let of_segments = super::super::hierarchy::tallies(&evidence, &evidence.segment, SEGMENTS as usize);
-        confidence(&surface, &surface.blocks(&evidence), &of_segments, &vec![roughness; texels.len()])
+        confidence(&surface, &surface.blocks(&evidence), &evidence.by_segment(), &vec![roughness; texels.len()])
     }
 
     /// Of a texel in the middle of what is seen, and of one far from it.

@@ -7,10 +7,13 @@
 //! (irradiance, the BRDF model) is systematic and does not average out. Distances are those of r itself, in which steps look
 //! alike: by ln r, a mirror would be further from what lies between it and chalk than chalk is.
 
+use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::scan::{Evidence, Tally, minimum};
-use crate::fit::adjacency::NONE;
+use super::kin::{self, Known};
+use super::scan::{Tally, minimum};
+use super::segments::Segments;
+use crate::fit::settings::RoughnessSettings;
 use crate::specular_table::node;
 
 /// What a group is drawn to.
@@ -36,10 +39,10 @@ impl Parent {
     }
 }
 
-/// Roughness of every group, each drawn to its parents; [`NONE`] is a pixel of none. A group without evidence takes the mean of its
-/// parents by the pixels that they count as, or else by their pulls.
-pub fn settle<const N: usize>(evidence: &Evidence, group: &[u32], parents: &[[Parent; N]]) -> Vec<f32> {
-    tallies(evidence, group, parents.len())
+/// Roughness of every group, by what its pixels say, each drawn to its parents. A group without evidence takes the mean of its parents
+/// by the pixels that they count as, or else by their pulls.
+pub fn settle<const N: usize>(groups: &[Tally], parents: &[[Parent; N]]) -> Vec<f32> {
+    groups
         .par_iter()
         .zip(parents)
         .map(|(tally, parents)| {
@@ -69,11 +72,44 @@ fn mean(parents: &[Parent]) -> f32 {
     if all > 0.0 { sum / all } else { parents.iter().map(|p| p.roughness).sum::<f32>() / parents.len().max(1) as f32 }
 }
 
-/// What the pixels of every group say.
-pub(super) fn tallies(evidence: &Evidence, group: &[u32], groups: usize) -> Vec<Tally> {
-    let mut tallies = vec![Tally::default(); groups];
-    for (pixel, group) in group.iter().enumerate().filter(|(_, group)| **group != NONE) {
-        tallies[*group as usize].add(evidence, pixel);
-    }
-    tallies
+/// Roughness of every segment: everything → class → class in a room → segment, which is drawn to what it is akin to besides. `tallies`
+/// are what the pixels of the segments say, `colours` their [`kin::colours`].
+pub fn of_segments(
+    segments: &Segments,
+    tallies: &[Tally],
+    colours: &[Option<Vec3A>],
+    settings: &RoughnessSettings,
+) -> Vec<f32> {
+    let s = settings;
+    let class_of = |i: usize| usize::from(segments.class[i]);
+    let room_of = |i: usize| segments.class_in_room[i] as usize;
+    let all = settle(&[Tally::sum(tallies.iter())], &[[Parent::pulling(s.start, s.class_pull)]])[0];
+    let classes = summed(tallies, class_of);
+    let class = settle(&classes, &vec![[Parent::pulling(all, s.class_pull)]; classes.len()]);
+    let rooms = summed(tallies, room_of);
+    let mut parent = vec![[Parent::pulling(all, s.room_pull)]; rooms.len()];
+    (0..tallies.len()).for_each(|i| parent[room_of(i)] = [Parent::pulling(class[class_of(i)], s.room_pull)]);
+    let room = settle(&rooms, &parent);
+
+    let of_room: Vec<Parent> = (0..tallies.len()).map(|i| Parent::pulling(room[room_of(i)], s.segment_pull)).collect();
+    let alone = settle(tallies, &of_room.iter().map(|room| [*room]).collect::<Vec<_>>());
+    let known = |i: usize| Known {
+        class: segments.class[i],
+        class_in_room: segments.class_in_room[i],
+        colour: colours[i],
+        roughness: alone[i].min(s.cap),
+        believed: tallies[i].pixels as f32 / (tallies[i].pixels as f32 + s.segment_pixels),
+    };
+    let known: Vec<Known> = (0..tallies.len()).map(known).collect();
+    let parents: Vec<[Parent; 2]> =
+        of_room.into_iter().zip(kin::parents(&known, s)).map(|(room, kin)| [room, kin]).collect();
+    settle(tallies, &parents).into_iter().map(|r| r.min(s.cap)).collect()
+}
+
+/// What larger groups say: `of` tells which of them each is in.
+fn summed(tallies: &[Tally], of: impl Fn(usize) -> usize) -> Vec<Tally> {
+    let groups = (0..tallies.len()).map(&of).max().map_or(0, |last| last + 1);
+    let mut sums = vec![Tally::default(); groups];
+    tallies.iter().enumerate().for_each(|(i, tally)| sums[of(i)].merge(tally));
+    sums
 }

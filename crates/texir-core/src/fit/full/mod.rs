@@ -168,8 +168,7 @@ fn recover(
         .collect();
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
-    let of_segments = hierarchy::tallies(&evidence, &evidence.segment, segments.count());
-    let confidence = confidence::confidence(&surface, &blocks, &of_segments, &roughness);
+    let confidence = confidence::confidence(&surface, &blocks, &evidence.by_segment(), &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
     Ok(Materials {
         albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
@@ -203,7 +202,7 @@ fn scan_models(
         problem.diffuse = diffuse;
         let mut albedo = problem.start();
         let evidence = scan::scan(problem, &diffuse.to_string(), &settings.roughness, &mut albedo, progress)?;
-        let by_segment = roughness(segments, &evidence, (&albedo, &problem.seen.is_seen), &settings.roughness);
+        let by_segment = roughness_of_segments(problem, segments, (&evidence, &albedo), &settings.roughness);
         let grazing = evidence.grazing(&by_segment);
         if best.as_ref().is_none_or(|(least, _)| grazing < *least) {
             best = Some((grazing, Scanned { diffuse, albedo, evidence, by_segment }));
@@ -229,16 +228,28 @@ fn find_metals(
     let mut albedo = problem.start();
     let evidence = scan::scan(problem, "metal", &settings.roughness, &mut albedo, progress)?;
     let pixels = settings.roughness.segment_pixels;
-    let metal = metals::find([&scanned.evidence, &evidence], segments.count(), pixels, &settings.metallic);
+    let tallies = [&scanned.evidence, &evidence].map(scan::Evidence::by_segment);
+    let metal = metals::find([&tallies[0], &tallies[1]], pixels, &settings.metallic);
     problem.metal = segments.segment.iter().map(|s| metal[*s as usize]).collect();
     scanned.evidence.take(&evidence, &metal);
     (&mut scanned.albedo, albedo, &problem.metal)
         .into_par_iter()
         .filter(|(_, _, metal)| **metal)
         .for_each(|(albedo, of_metal, _)| *albedo = of_metal);
-    scanned.by_segment =
-        roughness(segments, &scanned.evidence, (&scanned.albedo, &problem.seen.is_seen), &settings.roughness);
+    let found = (&scanned.evidence, &scanned.albedo[..]);
+    scanned.by_segment = roughness_of_segments(problem, segments, found, &settings.roughness);
     Ok(())
+}
+
+/// Roughness of every segment by a scan's evidence, and by the albedo that it left.
+fn roughness_of_segments(
+    problem: &AlbedoProblem<'_>,
+    segments: &Segments,
+    (evidence, albedo): (&scan::Evidence, &[Vec3A]),
+    settings: &RoughnessSettings,
+) -> Vec<f32> {
+    let colours = kin::colours(problem.segment, albedo, &problem.seen.is_seen);
+    hierarchy::of_segments(segments, &evidence.by_segment(), &colours, settings)
 }
 
 /// The texel that each pixel sees most of; [`NONE`] for pixels that do not count.
@@ -265,52 +276,8 @@ fn by_colour(
     let (pull, pixels) = (settings.colour_pull, settings.colour_pull * settings.colour_pixels);
     let of_segment = |roughness: &f32| [Parent { roughness: *roughness, pull, pixels }];
     let parent: Vec<[Parent; 1]> = by_segment.iter().flat_map(|r| repeat_n(of_segment(r), most as usize)).collect();
-    let settled = settle(evidence, &group, &parent);
+    let settled = settle(&evidence.by_group(&group, parent.len()), &parent);
     colour.iter().map(|&g| settled[g as usize]).collect()
-}
-
-/// Roughness of every segment: everything → class → class in a room → segment, which is drawn to what it is akin to besides.
-fn roughness(
-    segments: &Segments,
-    evidence: &scan::Evidence,
-    (albedo, is_seen): (&[Vec3A], &[bool]),
-    settings: &RoughnessSettings,
-) -> Vec<f32> {
-    let s = settings;
-    let of_pixels = |group: &dyn Fn(usize) -> u32| -> Vec<u32> {
-        evidence.segment.iter().map(|&s| if s == NONE { NONE } else { group(s as usize) }).collect()
-    };
-    let all = settle(evidence, &of_pixels(&|_| 0), &[[Parent::pulling(s.start, s.class_pull)]])[0];
-    let classes = usize::from(segments.class.iter().copied().max().unwrap_or(0)) + 1;
-    let class = settle(
-        evidence,
-        &of_pixels(&|s| u32::from(segments.class[s])),
-        &vec![[Parent::pulling(all, s.class_pull)]; classes],
-    );
-    let rooms = segments.class_in_room.iter().copied().max().unwrap_or(0) as usize + 1;
-    let mut parent = vec![[Parent::pulling(all, s.room_pull)]; rooms];
-    for (class_in_room, of) in segments.class_in_room.iter().zip(&segments.class) {
-        parent[*class_in_room as usize] = [Parent::pulling(class[usize::from(*of)], s.room_pull)];
-    }
-    let room = settle(evidence, &of_pixels(&|s| segments.class_in_room[s]), &parent);
-
-    let of_room: Vec<Parent> =
-        segments.class_in_room.iter().map(|&r| Parent::pulling(room[r as usize], s.segment_pull)).collect();
-    let group = &evidence.segment[..];
-    let alone = settle(evidence, group, &of_room.iter().map(|room| [*room]).collect::<Vec<_>>());
-    let tallies = hierarchy::tallies(evidence, group, segments.count());
-    let colour = kin::colours((&segments.segment, segments.count()), albedo, is_seen);
-    let known = |i: usize| kin::Known {
-        class: segments.class[i],
-        class_in_room: segments.class_in_room[i],
-        colour: colour[i],
-        roughness: alone[i].min(s.cap),
-        believed: tallies[i].pixels as f32 / (tallies[i].pixels as f32 + s.segment_pixels),
-    };
-    let known: Vec<kin::Known> = (0..segments.count()).map(known).collect();
-    let parents: Vec<[Parent; 2]> =
-        of_room.into_iter().zip(kin::parents(&known, s)).map(|(room, kin)| [room, kin]).collect();
-    settle(evidence, group, &parents).into_iter().map(|r| r.min(s.cap)).collect()
 }
 
 #[cfg(test)]

@@ -54,6 +54,20 @@ impl Evidence {
         self.segment.iter().zip(view_of_pixel()).map(of_pixel).collect()
     }
 
+    /// What the pixels of every group say, of `groups`; [`NONE`] is a pixel of none.
+    pub fn by_group(&self, group: &[u32], groups: usize) -> Vec<Tally> {
+        let mut tallies = vec![Tally::default(); groups];
+        for (pixel, group) in group.iter().enumerate().filter(|(_, group)| **group != NONE) {
+            tallies[*group as usize].add(self, pixel);
+        }
+        tallies
+    }
+
+    /// What the pixels of every segment say.
+    pub fn by_segment(&self) -> Vec<Tally> {
+        self.by_group(&self.segment, self.slope.len())
+    }
+
     /// Takes what `other` says of the segments of which `which` is true.
     pub fn take(&mut self, other: &Self, which: &[bool]) {
         for (p, segment) in self.segment.iter().enumerate() {
@@ -101,11 +115,17 @@ impl Tally {
         self.pixels += say;
     }
 
+    /// Adds what others say.
+    pub fn merge(&mut self, other: &Self) {
+        self.cost.iter_mut().zip(other.cost).for_each(|(sum, cost)| *sum += cost);
+        self.pixels += other.pixels;
+    }
+
     /// What all of them say.
     pub fn sum<'a>(tallies: impl Iterator<Item = &'a Self>) -> Self {
-        tallies.fold(Self::default(), |sum, tally| Self {
-            cost: std::array::from_fn(|k| sum.cost[k] + tally.cost[k]),
-            pixels: sum.pixels + tally.pixels,
+        tallies.fold(Self::default(), |mut sum, tally| {
+            sum.merge(tally);
+            sum
         })
     }
 

@@ -133,7 +133,7 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
         let mut albedo = problem.start();
         let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
-        let found = settle(&evidence, &group, &[[]])[0];
+        let found = settle(&evidence.by_group(&group, 1), &[[]])[0];
         assert!((found - truth).abs() < 0.02, "r {truth}: found {found}");
     }
 }
@@ -284,17 +284,18 @@ fn colours_in_which_residuals_differ_count_by_their_weight() {
 fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
     let mut cost = [half::f16::ONE; crate::specular_table::NODES];
     cost[8] = half::f16::ZERO;
-    let evidence = super::scan::Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![] };
+    let evidence = Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![[0.0; NODES]; 2] };
+    let groups = evidence.by_segment();
     let settled = |pull, pixels| {
         let parents = [0.8, 0.6].map(|roughness| [Parent { roughness, pull, pixels }]);
-        settle(&evidence, &[0], &parents)
+        settle(&groups, &parents)
     };
     let own = crate::specular_table::node(8);
     assert!((settled(0.0, 0.0)[0] - own).abs() < 1e-3 && settled(0.0, 0.0)[1] == 0.6);
     assert!(settled(100.0, 0.0)[0] > 0.75, "a strong pull wins");
     assert!(settled(0.0, 500.0)[0] > 0.75, "one pixel beside 500 is not believed");
     // Of several parents, those that count as pixels speak where there are none.
-    let mean = |parents: [Parent; 3]| settle(&evidence, &[0], &[parents; 2])[1];
+    let mean = |parents: [Parent; 3]| settle(&groups, &[parents; 2])[1];
     let [near, far, room] = [Parent::of_pixels(0.2, 30.0), Parent::of_pixels(0.6, 10.0), Parent::pulling(0.9, 0.3)];
     assert!((mean([near, far, room]) - 0.3).abs() < 1e-6 && (mean([room; 3]) - 0.9).abs() < 1e-6);
 }
@@ -436,7 +437,7 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
     };
     let settled = |say: Vec<f32>| {
         let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say, slope: vec![] };
-        nearest_node(settle(&evidence, &evidence.segment, &[[]])[0])
+        nearest_node(settle(&evidence.by_group(&evidence.segment, 1), &[[]])[0])
     };
     assert!(settled(say) < nearest_node(0.2));
     // Negative control: every pixel alike.
