@@ -393,8 +393,8 @@ fn texture_lookup_and_its_transpose() {
         let d_wide: Vec<f64> = d_values.iter().map(|&v| f64::from(v)).collect();
         // Twice: the second time from what the device kept.
         for _ in 0..2 {
-            let got = backend.lookup(&pyramid, &texture, channels, &footprints).unwrap();
-            TIGHT.check("lookup", &lanes(&got), &lookup::lookup(&pyramid, &wide, channels, &footprints));
+            let got = backend.lookup(&pyramid, &texture, channels, &footprints.rows).unwrap();
+            TIGHT.check("lookup", &lanes(&got), &lookup::lookup(&pyramid, &wide, channels, &footprints.rows));
             let got = backend.lookup_vjp(&pyramid, &d_values, channels, &footprints).unwrap();
             let expected = lookup::lookup_vjp(&pyramid, &d_wide, channels, &footprints);
             TIGHT.check("lookup_vjp", &lanes(&got), &expected);
@@ -408,9 +408,9 @@ fn footprints_that_changed_are_not_taken_for_those_kept() {
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
     let (pyramid, mut footprints) = pyramid();
     let texture: Vec<f32> = (0..(183 * 101)).map(|i| unit(i, 2)).collect();
-    let before = backend.lookup(&pyramid, &texture, 1, &footprints).unwrap();
+    let before = backend.lookup(&pyramid, &texture, 1, &footprints.rows).unwrap();
     let middle = footprints.rows.taps.len() / 2;
     footprints.rows.taps[middle].weight += 1.0;
-    let after = backend.lookup(&pyramid, &texture, 1, &footprints).unwrap();
+    let after = backend.lookup(&pyramid, &texture, 1, &footprints.rows).unwrap();
     assert_eq!(before.iter().zip(&after).filter(|(a, b)| a != b).count(), 1);
 }

@@ -20,7 +20,7 @@ use crate::raster::Rgb;
 use crate::rng::{Z_SIDE, along_z_curve, hash2};
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
-use crate::texture::{Footprints, Pyramid};
+use crate::texture::{Footprints, Pyramid, Rows};
 
 /// How many samples to draw, and from which stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -355,14 +355,8 @@ pub trait Backend {
         target: GroupTarget,
     ) -> Result<Loss<f32>>;
 
-    /// Mip-mapped texture lookup: `channels` interleaved numbers per texel in, the same per footprint out.
-    fn lookup(
-        &mut self,
-        pyramid: &Pyramid,
-        texture: &[f32],
-        channels: usize,
-        footprints: &Footprints,
-    ) -> Result<Vec<f32>>;
+    /// Mip-mapped texture lookup: `channels` interleaved numbers per texel in, the same per footprint, a row each, out.
+    fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>>;
 
     /// Transpose of [`Backend::lookup`]: cotangents of the looked-up values back to every texel.
     fn lookup_vjp(

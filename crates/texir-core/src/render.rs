@@ -21,7 +21,7 @@ use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::Hit;
-use crate::texture::{Footprints, Pyramid, Rows};
+use crate::texture::{Pyramid, Rows};
 
 /// Pixels worked on at a time: bounds footprints and the backend's buffers (about 100 MB) whatever the size of the view.
 const CHUNK: usize = 1 << 18;
@@ -277,7 +277,7 @@ fn sub_pixels<'a>(fine: &Camera, pixels: &'a [u32], which: &'a [(usize, usize)])
 }
 
 /// Footprints by pyramid, so that textures of one size share theirs.
-type Known = Vec<(usize, Footprints)>;
+type Known = Vec<(usize, Rows)>;
 
 /// What of a texture a pixel shows.
 #[derive(Clone, Copy)]
@@ -297,19 +297,19 @@ struct Seen<'a> {
 }
 
 impl Seen<'_> {
-    fn footprints(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
+    fn footprints(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
         match self.filter {
             Filter::Point => self.bilinear(pyramid, mesh),
-            Filter::Area => Footprints::of_pixels(pyramid, mesh, self.camera, 1, self.hits, self.pixels),
+            Filter::Area => Rows::of_pixels(pyramid, mesh, self.camera, 1, self.hits, self.pixels),
         }
     }
 
-    fn bilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Footprints {
+    fn bilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
         let taps = |&pixel: &u32| match &self.hits[pixel as usize] {
             hit if hit.is_hit() => pyramid.bilinear(0, hit.uv(mesh)),
             _ => Vec::new(),
         };
-        Footprints::new(Rows::from_lists(self.pixels.iter().map(taps)))
+        Rows::from_lists(self.pixels.par_iter().map(taps).collect::<Vec<_>>())
     }
 }
 

@@ -169,6 +169,35 @@ impl Rows {
         Rows { offsets, taps }
     }
 
+    /// Footprints of the listed pixels of a view, a row each. `fine` is the view [`Camera::supersampled`] by `factor`, `hits` its
+    /// primary hits: a pixel sees the mean of its factor² trilinear sub-pixel footprints, as box-filtered images do.
+    /// Sub-pixels without a hit are left out; a pixel without any gets an empty row.
+    pub fn of_pixels(
+        pyramid: &Pyramid,
+        mesh: &Mesh,
+        fine: &Camera,
+        factor: usize,
+        hits: &[Hit],
+        pixels: &[u32],
+    ) -> Self {
+        let width = fine.width / factor;
+        let lists: Vec<Vec<Tap>> = pixels
+            .par_iter()
+            .map(|&pixel| {
+                let (x, y) = (pixel as usize % width * factor, pixel as usize / width * factor);
+                let mut taps: Vec<Tap> = (0..factor * factor)
+                    .flat_map(|k| {
+                        let (x, y) = (x + k % factor, y + k / factor);
+                        sub_pixel(pyramid, mesh, fine, &hits[y * fine.width + x], x, y)
+                    })
+                    .collect();
+                merge(&mut taps);
+                taps
+            })
+            .collect();
+        Self::from_lists(lists)
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.offsets.len() - 1
@@ -215,40 +244,6 @@ impl Footprints {
         }
         columns.offsets.push(columns.taps.len() as u32);
         Self { rows, touched, columns }
-    }
-
-    /// Footprints of the listed pixels of a view. `fine` is the view [`Camera::supersampled`] by `factor`, `hits` its
-    /// primary hits: a pixel sees the mean of its factor² trilinear sub-pixel footprints, as box-filtered images do.
-    /// Sub-pixels without a hit are left out; a pixel without any gets an empty row.
-    pub fn of_pixels(
-        pyramid: &Pyramid,
-        mesh: &Mesh,
-        fine: &Camera,
-        factor: usize,
-        hits: &[Hit],
-        pixels: &[u32],
-    ) -> Self {
-        let width = fine.width / factor;
-        let lists: Vec<Vec<Tap>> = pixels
-            .par_iter()
-            .map(|&pixel| {
-                let (x, y) = (pixel as usize % width * factor, pixel as usize / width * factor);
-                let mut taps: Vec<Tap> = (0..factor * factor)
-                    .flat_map(|k| {
-                        let (x, y) = (x + k % factor, y + k / factor);
-                        sub_pixel(pyramid, mesh, fine, &hits[y * fine.width + x], x, y)
-                    })
-                    .collect();
-                merge(&mut taps);
-                taps
-            })
-            .collect();
-        Self::new(Rows::from_lists(lists))
-    }
-
-    /// Bilinear footprints on the atlas itself, at given coordinates.
-    pub fn bilinear(pyramid: &Pyramid, uvs: impl IntoIterator<Item = Vec2>) -> Self {
-        Self::new(Rows::from_lists(uvs.into_iter().map(|uv| pyramid.bilinear(0, uv))))
     }
 
     /// Number of footprints.

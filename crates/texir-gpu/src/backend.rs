@@ -17,7 +17,7 @@ use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 use texir_core::specular_table::{Curve, STRATA, TableSampling};
 use texir_core::surface::{Hit, SurfacePoint};
-use texir_core::texture::{Footprints, Pyramid};
+use texir_core::texture::{Footprints, Pyramid, Rows};
 
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
@@ -229,7 +229,7 @@ impl Backend for GpuBackend<'_> {
         pyramid: &Pyramid,
         texture: &[f32],
         channels: usize,
-        footprints: &Footprints,
+        footprints: &Rows,
     ) -> Result<Vec<f32>> {
         sized("texture of lookup", texture.len(), atlas_len(pyramid) * channels)?;
         countable(pyramid.len() * channels)?;

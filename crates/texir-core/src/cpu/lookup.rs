@@ -1,63 +1,73 @@
 //! Mip-mapped texture lookup and its transpose, twin of `lookup.wgsl` and `mip.wgsl`.
 
+use rayon::prelude::*;
+
 use crate::real::Real;
 use crate::texture::{Footprints, Pyramid, Rows};
 
+/// Items per task of a parallel loop.
+const BLOCK: usize = 1024;
+
 /// y = rows · x, with `channels` interleaved numbers per item. Used forward with footprint rows and backward with columns:
-/// the same gather.
-fn gather<R: Real>(rows: &Rows, channels: usize, source: &[R], mut store: impl FnMut(usize, &[R])) {
-    let mut sum = vec![R::of(0.0); channels];
-    for row in 0..rows.len() {
-        sum.fill(R::of(0.0));
+/// the same gather. `source` yields the numbers of an item.
+fn gather<'a, R: Real>(rows: &Rows, channels: usize, source: impl Fn(usize) -> &'a [R] + Sync) -> Vec<R> {
+    let mut out = vec![R::of(0.0); rows.len() * channels];
+    let sum = |(row, sum): (usize, &mut [R])| {
         for tap in rows.row(row) {
             let weight = R::of(f64::from(tap.weight));
-            let item = &source[tap.texel as usize * channels..][..channels];
-            for (s, &x) in sum.iter_mut().zip(item) {
+            for (s, &x) in sum.iter_mut().zip(source(tap.texel as usize)) {
                 *s = *s + x * weight;
             }
         }
-        store(row, &sum);
-    }
+    };
+    out.par_chunks_exact_mut(channels).enumerate().with_min_len(BLOCK).for_each(sum);
+    out
 }
 
-/// Share of each child in its parent: coverage of the child over the sum of its siblings'.
-fn each_parent(pyramid: &Pyramid, level: usize, mut visit: impl FnMut(usize, usize, f32)) {
-    let (fine, coarse) = (pyramid.levels[level - 1], pyramid.levels[level]);
-    for y in 0..coarse.height {
-        for x in 0..coarse.width {
-            let children = Pyramid::children(&fine, x, y);
-            let sum: f32 = children.iter().flatten().map(|&c| pyramid.coverage[c]).sum();
-            if sum > 0.0 {
-                for &child in children.iter().flatten() {
-                    visit(coarse.offset + y * coarse.width + x, child, pyramid.coverage[child] / sum);
+/// The children of texel (x, y) of a level, with the share of each: its coverage over the sum of its siblings'.
+fn children(pyramid: &Pyramid, level: usize, x: usize, y: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+    let children = Pyramid::children(&pyramid.levels[level - 1], x, y);
+    let sum: f32 = children.iter().flatten().map(|&c| pyramid.coverage[c]).sum();
+    children.into_iter().flatten().filter(move |_| sum > 0.0).map(move |c| (c, pyramid.coverage[c] / sum))
+}
+
+/// The levels of the pyramid above `texture` (level 0) that come before level `levels`, in one piece: every texel is the
+/// coverage-weighted mean of its children.
+pub fn reduce<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize, levels: usize) -> Vec<R> {
+    let end = pyramid.levels.get(levels).map_or(pyramid.len(), |level| level.offset);
+    let start = |level: usize| pyramid.levels[level].offset * channels - texture.len();
+    let mut above = vec![R::of(0.0); (end * channels).saturating_sub(texture.len())];
+    for level in 1..levels.min(pyramid.levels.len()) {
+        let (fine, coarse) = (pyramid.levels[level - 1], pyramid.levels[level]);
+        let (finer, rest) = above.split_at_mut(start(level));
+        let finer = if level == 1 { texture } else { &finer[start(level - 1)..] };
+        let rows = rest[..coarse.width * coarse.height * channels].par_chunks_exact_mut(coarse.width * channels);
+        rows.enumerate().for_each(|(y, row)| {
+            for (x, parent) in row.chunks_exact_mut(channels).enumerate() {
+                for (child, share) in children(pyramid, level, x, y) {
+                    let child = &finer[(child - fine.offset) * channels..][..channels];
+                    parent.iter_mut().zip(child).for_each(|(p, c)| *p = *p + *c * R::of(f64::from(share)));
                 }
-            }
-        }
-    }
-}
-
-/// Fills the pyramid above `texture` (level 0): every coarse texel is the coverage-weighted mean of its children.
-pub fn reduce<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize) -> Vec<R> {
-    let mut all = texture.to_vec();
-    all.resize(pyramid.len() * channels, R::of(0.0));
-    for level in 1..pyramid.levels.len() {
-        each_parent(pyramid, level, |parent, child, share| {
-            for c in 0..channels {
-                all[parent * channels + c] =
-                    all[parent * channels + c] + all[child * channels + c] * R::of(f64::from(share));
             }
         });
     }
-    all
+    above
 }
 
-/// Transpose of [`reduce`]: cotangents of all levels down to level 0.
+/// Transpose of [`reduce`] by all levels: cotangents of all of them down to level 0.
 pub fn reduce_vjp<R: Real>(pyramid: &Pyramid, mut d_all: Vec<R>, channels: usize) -> Vec<R> {
     for level in (1..pyramid.levels.len()).rev() {
-        each_parent(pyramid, level, |parent, child, share| {
-            for c in 0..channels {
-                d_all[child * channels + c] =
-                    d_all[child * channels + c] + d_all[parent * channels + c] * R::of(f64::from(share));
+        let (fine, coarse) = (pyramid.levels[level - 1], pyramid.levels[level]);
+        let (finer, d_coarse) = d_all.split_at_mut(coarse.offset * channels);
+        // The children of a row of texels are two rows.
+        let two_rows = 2 * fine.width;
+        finer[fine.offset * channels..].par_chunks_mut(two_rows * channels).enumerate().for_each(|(y, rows)| {
+            for x in 0..coarse.width {
+                let d_parent = &d_coarse[(y * coarse.width + x) * channels..][..channels];
+                for (child, share) in children(pyramid, level, x, y) {
+                    let d_child = &mut rows[(child - fine.offset - y * two_rows) * channels..][..channels];
+                    d_child.iter_mut().zip(d_parent).for_each(|(c, p)| *c = *c + *p * R::of(f64::from(share)));
+                }
             }
         });
     }
@@ -66,19 +76,23 @@ pub fn reduce_vjp<R: Real>(pyramid: &Pyramid, mut d_all: Vec<R>, channels: usize
     d_all
 }
 
-/// Looked-up values, `channels` per footprint; 0 for an empty footprint.
-pub fn lookup<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize, footprints: &Footprints) -> Vec<R> {
-    let all = reduce(pyramid, texture, channels);
-    let mut out = Vec::with_capacity(footprints.len() * channels);
-    gather(&footprints.rows, channels, &all, |_, sum| out.extend_from_slice(sum));
-    out
+/// Looked-up values, `channels` per footprint; 0 for an empty footprint. Only levels that footprints touch are made.
+pub fn lookup<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize, footprints: &Rows) -> Vec<R> {
+    let last = footprints.taps.par_iter().map(|tap| tap.texel as usize).max().unwrap_or(0);
+    let levels = pyramid.levels.partition_point(|level| level.offset <= last);
+    let above = reduce(pyramid, texture, channels, levels);
+    gather(footprints, channels, |texel| match (texel * channels).checked_sub(texture.len()) {
+        None => &texture[texel * channels..][..channels],
+        Some(at) => &above[at..][..channels],
+    })
 }
 
 /// Cotangents of the looked-up values to every atlas texel.
 pub fn lookup_vjp<R: Real>(pyramid: &Pyramid, d_values: &[R], channels: usize, footprints: &Footprints) -> Vec<R> {
+    let touched = gather(&footprints.columns, channels, |pixel| &d_values[pixel * channels..][..channels]);
     let mut d_all = vec![R::of(0.0); pyramid.len() * channels];
-    gather(&footprints.columns, channels, d_values, |i, sum| {
-        d_all[footprints.touched[i] as usize * channels..][..channels].copy_from_slice(sum);
-    });
+    for (texel, d) in footprints.touched.iter().zip(touched.chunks_exact(channels)) {
+        d_all[*texel as usize * channels..][..channels].copy_from_slice(d);
+    }
     reduce_vjp(pyramid, d_all, channels)
 }

@@ -40,7 +40,7 @@ use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
-use crate::texture::{Footprints, Pyramid};
+use crate::texture::{Footprints, Pyramid, Rows};
 use shade::{MaterialIn, ShadedIn};
 use trace::{Lighting, TraceHit};
 
@@ -250,7 +250,7 @@ impl Backend for CpuBackend<'_> {
         pyramid: &Pyramid,
         texture: &[f32],
         channels: usize,
-        footprints: &Footprints,
+        footprints: &Rows,
     ) -> Result<Vec<f32>> {
         Ok(lookup::lookup(pyramid, texture, channels, footprints))
     }

@@ -89,7 +89,7 @@ pub(crate) fn run(
     pyramid: &Pyramid,
     texture: &[f32],
     channels: usize,
-    footprints: &Footprints,
+    footprints: &Rows,
 ) -> Result<Vec<f32>> {
     let count = footprints.len() * channels;
     let coverage = coverage(ctx, cache, pyramid)?;
@@ -97,7 +97,7 @@ pub(crate) fn run(
     ctx.pool.write(&ctx.gpu, &texels, texture)?;
     let values = ctx.pool.reserve(&ctx.gpu, "looked-up values", (count * 4) as u64)?;
     let levels = Levels::new(ctx, pyramid, &coverage, &texels, channels, Direction::Reduce)?;
-    let gathering = gathering(ctx, cache, &footprints.rows, channels, (&texels, &values), None)?;
+    let gathering = gathering(ctx, cache, footprints, channels, (&texels, &values), None)?;
     ctx.submit(|pass| {
         levels.record(pass);
         gathering.record(pass);

@@ -59,7 +59,7 @@ pub fn classes(
         let (a, b) = (a as usize, b as usize);
         surface[a] == surface[b] && seen(a) && seen(b) && colour[a] == colour[b]
     };
-    let (of, count) = connected(albedo.len(), adjacency, together);
+    let (of, count) = connected(albedo.len(), adjacency, &[], together);
 
     let mut regions = vec![Region::default(); count];
     let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);

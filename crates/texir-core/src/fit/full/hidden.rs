@@ -1,4 +1,5 @@
-//! What no view sees: floor under a sofa, wall behind a shelf. Labels come from what is seen of the same flat surface, and
+//! What no view sees: floor under a sofa, wall behind a shelf, the back of a door. Labels come from what is seen of the same flat
+//! surface, or of the other side of what is thin, and
 //! materials from what is seen of the same segment, so that it can be shown once the sofa is moved. What is seen so badly that it
 //! comes out as no material could be is treated alike.
 
@@ -8,9 +9,13 @@ use glam::{IVec3, Vec3, Vec3A};
 use rayon::prelude::*;
 
 use super::segments::connected;
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, TexelIndex};
+use crate::cpu::trace::Trace;
 use crate::fit::adjacency::Adjacency;
 use crate::inpaint;
+use crate::real::V3;
+use crate::scene::Scene;
+use crate::surface::{Hit, SurfacePoint, offset_origin};
 
 /// Neighbours on one flat surface differ in their normals by less than the angle of this cosine.
 const FLAT: f32 = 0.95;
@@ -18,6 +23,11 @@ const FLAT: f32 = 0.95;
 const CELLS: [f32; 6] = [8.0, 16.0, 32.0, 64.0, 128.0, 256.0];
 /// Labelled texels that must lie around a hidden one before they are believed.
 const ENOUGH: u32 = 100;
+
+/// Things up to this thick are thin, metres: two rooms are further apart.
+const THIN: f32 = 0.06;
+/// Cosine of the angle up to which the two sides of something thin are parallel.
+const PARALLEL: f32 = 0.7;
 
 /// Bounds of what diffuse albedo surfaces have in a channel: soot reflects 3 %, fresh snow 95 %.
 const DARKEST: f32 = 0.005;
@@ -28,7 +38,25 @@ const FEW: f64 = 0.1;
 /// The flat surface that each texel is part of.
 pub fn flat_surfaces(atlas: &Atlas, adjacency: &Adjacency) -> Vec<u32> {
     let normal = |t: u32| Vec3::from(atlas.points[t as usize].normal);
-    connected(atlas.points.len(), adjacency, |a, b| normal(a).dot(normal(b)) > FLAT).0
+    connected(atlas.points.len(), adjacency, &[], |a, b| normal(a).dot(normal(b)) > FLAT).0
+}
+
+/// The texels of thin things, the leaves of doors and the boards of shelves, each with the one on the other side, ascending.
+pub fn backs(scene: &Scene, atlas: &Atlas) -> Vec<[u32; 2]> {
+    let index = TexelIndex::new(atlas);
+    let front = |t: usize| {
+        let SurfacePoint { position, triangle, normal, .. } = atlas.points[t];
+        let face = scene.mesh.face_normal(triangle);
+        let inwards = if face.dot(normal.into()) > 0.0 { -face } else { face };
+        // The point lies a step outside.
+        let origin = offset_origin(position.into(), 2.0 * inwards);
+        let hit = Trace::<f32>::closest(scene, V3::of(origin.to_array()), V3::of(inwards.to_array()))?;
+        let leaves = scene.mesh.face_normal(hit.triangle).dot(inwards) > PARALLEL;
+        let hit = Hit { triangle: hit.triangle, u: hit.u, v: hit.v, t: hit.t };
+        index.nearest(hit.uv(&scene.mesh)).filter(|_| leaves && hit.t < THIN)
+    };
+    let of = |t: usize| Some([t as u32, front(t)?]);
+    (0..atlas.points.len()).into_par_iter().filter_map(of).collect()
 }
 
 /// Labels hidden texels as most of the labelled ones around them on their `surface` are. What has too few of them around

@@ -18,6 +18,7 @@ use crate::fit::adjacency::Adjacency;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Mask;
+use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 use crate::tbl::shown::{Shown, pixels_per_steradian};
 
@@ -35,6 +36,8 @@ const MAX_ROUNDS: f32 = 24.0;
 /// What has a smaller share of the votes than is usual on its flat surface is left to those around it: what one view catches
 /// through a gap under a sofa is as often the sofa's leg.
 const SCARCE: f32 = 0.3;
+/// What votes on the other side of something thin count: seen at a grazing angle, a door's leaf is taken for the wall behind it.
+const OTHER_SIDE: f32 = 0.5;
 /// Texels whose normals' cosine is less do not share votes: classes end at creases.
 const SAME_NORMAL: f32 = 0.9;
 
@@ -42,6 +45,8 @@ const SAME_NORMAL: f32 = 0.9;
 pub struct Labels {
     /// The flat surface that each texel is part of.
     pub surface: Vec<u32>,
+    /// The texels of thin things, each with the one on the other side.
+    pub backs: Vec<[u32; 2]>,
     /// Semantic class, as the views voted; `None` where there is no vote around.
     pub class: Vec<Option<u16>>,
     /// Room as the capture names them, likewise.
@@ -52,7 +57,7 @@ impl Labels {
     /// Lets the views vote.
     pub fn vote(
         backend: &mut dyn Backend,
-        mesh: &Mesh,
+        scene: &Scene,
         (atlas, adjacency): (&Atlas, &Adjacency),
         views: &[View],
         progress: &dyn Progress,
@@ -63,16 +68,20 @@ impl Labels {
         for view in views.iter().filter(has_labels) {
             progress.check()?;
             let (classes, rooms) = (view.load_semantic()?, view.load_room()?);
-            let witnesses = witnesses(backend, mesh, atlas, view, view.load_mask()?.as_ref())?;
+            let witnesses = witnesses(backend, &scene.mesh, atlas, view, view.load_mask()?.as_ref())?;
             class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
             let of_view = view.room_id.unwrap_or(0);
             room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
             progress.advance(1);
         }
         let surface = hidden::flat_surfaces(atlas, adjacency);
-        let [class, room] = [class, room].map(|votes| votes.count(mesh, atlas, adjacency, &surface));
+        let backs = hidden::backs(scene, atlas);
+        class.blur(&scene.mesh, atlas, adjacency);
+        room.blur(&scene.mesh, atlas, adjacency);
+        class.share(&backs);
+        let [class, room] = [class, room].map(|votes| votes.count(&surface));
         progress.finish();
-        Ok(Self { surface, class, room })
+        Ok(Self { surface, backs, class, room })
     }
 
     /// Whether views have semantic classes.
@@ -138,6 +147,11 @@ impl Ballot {
         }
     }
 
+    /// Adds a share of another's votes.
+    fn merge(&mut self, other: &Self, share: f32) {
+        other.0.iter().filter(|(label, _)| *label != 0).for_each(|(label, weight)| self.add(*label, share * weight));
+    }
+
     /// All votes.
     fn weight(&self) -> f32 {
         self.0.iter().map(|(_, weight)| weight).sum()
@@ -163,11 +177,11 @@ impl Votes {
         });
     }
 
-    /// The label of every texel, each being part of a flat `surface`; `None` where there are no votes around, or hardly any.
-    pub fn count(self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency, surface: &[u32]) -> Vec<Option<u16>> {
-        let Self(mut votes) = self;
+    /// Lets texels that face alike share their votes with those around them.
+    pub fn blur(&mut self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency) {
+        let Self(votes) = self;
         if votes.is_empty() {
-            return vec![None; atlas.texels.len()];
+            return;
         }
         let facing = |a: u32, b: u32| {
             Vec3::from(atlas.points[a as usize].normal).dot(atlas.points[b as usize].normal.into()) >= SAME_NORMAL
@@ -177,13 +191,34 @@ impl Votes {
                 let (mut sum, mut sharing) = (Ballot::default(), 0.0);
                 for n in std::iter::once(t).chain(adjacency.around(t).filter(|&n| facing(t, n))) {
                     sharing += 1.0;
-                    for &(label, weight) in votes[n as usize].0.iter().filter(|(label, _)| *label != 0) {
-                        sum.add(label, weight);
-                    }
+                    sum.merge(&votes[n as usize], 1.0);
                 }
                 Ballot(sum.0.map(|(label, weight)| (label, weight / sharing)))
             };
-            votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
+            *votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
+        }
+    }
+
+    /// Gives each first texel of the pairs the second one's votes besides, at half their weight.
+    pub fn share(&mut self, pairs: &[[u32; 2]]) {
+        let Self(votes) = self;
+        if votes.is_empty() {
+            return;
+        }
+        let shared = |[to, from]: &[u32; 2]| {
+            let mut ballot = votes[*to as usize];
+            ballot.merge(&votes[*from as usize], OTHER_SIDE);
+            (*to, ballot)
+        };
+        let shared: Vec<(u32, Ballot)> = pairs.par_iter().map(shared).collect();
+        shared.into_iter().for_each(|(to, ballot)| votes[to as usize] = ballot);
+    }
+
+    /// The label of every texel, each being part of a flat `surface`; `None` where there are no votes around, or hardly any.
+    pub fn count(self, surface: &[u32]) -> Vec<Option<u16>> {
+        let Self(votes) = self;
+        if votes.is_empty() {
+            return vec![None; surface.len()];
         }
         let mut on_surface: HashMap<u32, Vec<f32>> = HashMap::new();
         for (ballot, &surface) in votes.iter().zip(surface).filter(|(ballot, _)| ballot.weight() > 0.0) {
@@ -218,7 +253,6 @@ mod tests {
     use crate::capture::Split;
     use crate::cpu::CpuBackend;
     use crate::raster::Labels;
-    use crate::scene::Scene;
     use crate::surface::Hit;
     use crate::tbl::tests::{panorama, room};
 
@@ -285,7 +319,8 @@ mod tests {
                 let sees = |t: usize| (!islet(t) || view < votes_on_islet).then_some(Witness { pixel: t, weight: 1.0 });
                 votes.add(&all.map(sees).collect::<Vec<_>>(), |t| if islet(t) { 2 } else { 1 });
             }
-            votes.count(&scene.mesh, &atlas, &adjacency, &hidden::flat_surfaces(&atlas, &adjacency))
+            votes.blur(&scene.mesh, &atlas, &adjacency);
+            votes.count(&hidden::flat_surfaces(&atlas, &adjacency))
         };
         let middle = (0..atlas.points.len())
             .filter(|&t| islet(t))
@@ -327,11 +362,8 @@ mod tests {
                 seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
                 votes.add(&witnesses, |pixel| labels.data[pixel]);
             }
-            let fused = spread(
-                votes.count(&scene.mesh, &atlas, &adjacency, &hidden::flat_surfaces(&atlas, &adjacency)),
-                &adjacency,
-                |_| 0,
-            );
+            votes.blur(&scene.mesh, &atlas, &adjacency);
+            let fused = spread(votes.count(&hidden::flat_surfaces(&atlas, &adjacency)), &adjacency, |_| 0);
             let all = seen.iter().filter(|seen| **seen).count();
             let right = (0..truth.len()).filter(|&t| seen[t] && fused[t] == truth[t]).count();
             right as f64 / all as f64

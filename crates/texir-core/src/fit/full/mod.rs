@@ -62,7 +62,7 @@ pub fn fit(
     let Ground { scene, atlas, adjacency, emitters, seed, .. } = *ground;
     let mut irradiance = of_texels(&map, atlas);
     drop(map);
-    let labels = Labels::vote(backend, &scene.mesh, (atlas, adjacency), training, progress)?;
+    let labels = Labels::vote(backend, scene, (atlas, adjacency), training, progress)?;
     if !labels.has_classes() {
         progress.warn(
             "no view has semantic classes: segments are made from geometry and colour alone, and surfaces that look alike \
@@ -155,7 +155,9 @@ fn recover(
     let outlier = hidden::outliers(&albedo, segment);
     let known = |t: usize| seen.is_seen[t] && !outlier[t];
     // What no view sees has no joints: lines do not go on by blurring.
-    hidden::paint(atlas, &segments.segment, known, (&mut painted, &mut roughness), texel);
+    let models = segments.models(known);
+    let model: Vec<u32> = segments.segment.iter().map(|s| models[*s as usize]).collect();
+    hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
     let roughness = with_joints(&roughness);
     // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's.
     const MOST: Vec3A = Vec3A::splat(10.0);

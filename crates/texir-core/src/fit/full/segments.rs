@@ -15,7 +15,7 @@ use crate::rooms::FloorPlan;
 /// Pieces of a segment that are smaller, square metres, are no faces of their own.
 const SMALLEST_FACE: f32 = 0.1;
 
-/// Connected regions of one class in one room, numbered from 0.
+/// Connected regions of one class in one room, numbered from 0. The back of something thin is connected with its front.
 pub struct Segments {
     /// That of every valid texel.
     pub segment: Vec<u32>,
@@ -33,12 +33,30 @@ impl Segments {
     pub fn count(&self) -> usize {
         self.class.len()
     }
+
+    /// What every segment is painted after where it is not known itself: itself, if it is `known` anywhere; else the best known
+    /// one of its class, in its room if there is one. `known` has a value per texel.
+    pub fn models(&self, known: impl Fn(usize) -> bool) -> Vec<u32> {
+        let mut texels = vec![0u32; self.count()];
+        (0..self.segment.len()).filter(|t| known(*t)).for_each(|t| texels[self.segment[t] as usize] += 1);
+        let best = |like: &dyn Fn(usize) -> bool| {
+            (0..self.count()).filter(|s| texels[*s] > 0 && like(*s)).max_by_key(|s| texels[*s])
+        };
+        let model = |s: usize| match texels[s] {
+            0 => best(&|other| self.class_in_room[other] == self.class_in_room[s])
+                .or_else(|| best(&|other| self.class[other] == self.class[s]))
+                .unwrap_or(s),
+            _ => s,
+        };
+        (0..self.count()).map(|s| model(s) as u32).collect()
+    }
 }
 
 /// Segments the texels by the labels that the views voted for, with borders where the colour changes ([`borders`]); where views
-/// have no classes, by geometry and colour alone ([`automatic`]). Texels around which there are none take the label of what is
-/// seen of their flat surface, or of the nearest texel along the mesh. Rooms are the capture's, where it names them, and else
-/// the floor plan's. `albedo` may be as rough as π · radiance / irradiance; `texel` is the edge of a typical texel, metres.
+/// have no classes, by geometry and colour alone ([`automatic`]). Texels around which there are none take the label of the other side,
+/// if they are the back of something thin, or of what is seen of their flat surface, or of the nearest texel along the mesh. Rooms
+/// are the capture's, where it names them, and else the floor plan's. `albedo` may be as rough as π · radiance / irradiance;
+/// `texel` is the edge of a typical texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
@@ -52,19 +70,23 @@ pub fn segment(
     };
     let seen = |t: usize| is_seen[t];
     let colours = Colours::find(adjacency, &labels.surface, albedo, seen, texel);
-    let known = if labels.has_classes() {
+    let mut known = if labels.has_classes() {
         borders::settle(labels.class.clone(), adjacency, &labels.surface, &colours, texel)
     } else {
         automatic::classes((atlas, texel), adjacency, &labels.surface, &colours, seen)
     };
     drop(colours);
+    let of_fronts: Vec<Option<u16>> = labels.backs.iter().map(|[_, front]| known[*front as usize]).collect();
+    for ([back, _], class) in labels.backs.iter().zip(of_fronts) {
+        known[*back as usize] = known[*back as usize].or(class);
+    }
     let class = everywhere(&known, &|_| 0);
     let planned: Vec<u16> =
         atlas.points.par_iter().map(|p| plan.room_of(Vec3::from(p.position), Vec3::from(p.normal))).collect();
     let room =
         if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
-    let (segment, count) = connected(in_room.len(), adjacency, |a, b| in_room[a as usize] == in_room[b as usize]);
+    let (segment, count) = connected(in_room.len(), adjacency, &labels.backs, |a, b| in_room[a as usize] == in_room[b as usize]);
     let face = faces((&segment, count), &labels.surface, adjacency, (SMALLEST_FACE / (texel * texel)) as usize);
     let mut of_segment = vec![(0, 0); count];
     segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
@@ -84,7 +106,7 @@ pub fn segment(
 /// nothing else of it.
 fn faces((segment, segments): (&[u32], usize), surface: &[u32], adjacency: &Adjacency, least: usize) -> Vec<u32> {
     let of = |t: u32| (segment[t as usize], surface[t as usize]);
-    let (piece, count) = connected(segment.len(), adjacency, |a, b| of(a) == of(b));
+    let (piece, count) = connected(segment.len(), adjacency, &[], |a, b| of(a) == of(b));
     let mut texels = vec![0; count];
     piece.iter().for_each(|p| texels[*p as usize] += 1);
     let mut numbers = segments as u32..;
@@ -110,8 +132,13 @@ pub(super) fn spread(known: Vec<Option<u16>>, adjacency: &Adjacency, otherwise: 
     labels.into_iter().enumerate().map(|(i, label)| label.unwrap_or_else(|| otherwise(i))).collect()
 }
 
-/// Numbers the regions of `count` texels in which neighbours belong together.
-pub(super) fn connected(count: usize, adjacency: &Adjacency, together: impl Fn(u32, u32) -> bool) -> (Vec<u32>, usize) {
+/// Numbers the regions of `count` texels in which neighbours, and the `pairs` besides, belong together.
+pub(super) fn connected(
+    count: usize,
+    adjacency: &Adjacency,
+    pairs: &[[u32; 2]],
+    together: impl Fn(u32, u32) -> bool,
+) -> (Vec<u32>, usize) {
     let mut parent: Vec<u32> = (0..count as u32).collect();
     let mut join = |a: u32, b: u32| {
         if together(a, b) {
@@ -123,6 +150,7 @@ pub(super) fn connected(count: usize, adjacency: &Adjacency, together: impl Fn(u
     for i in 0..count as u32 {
         adjacency.around(i).for_each(|n| join(i, n));
     }
+    pairs.iter().for_each(|[a, b]| join(*a, *b));
     let mut numbers = vec![NONE; count];
     let mut regions = 0;
     let numbered = (0..count as u32)

@@ -450,6 +450,6 @@ fn texels_that_no_pixel_sees_take_their_neighbours_label() {
     let known = |texel| [Some(1), None, Some(2)][usize::from(texel > 3) + usize::from(texel > 5)];
     let labels = spread((0..10).map(known).collect(), &strip(10), |_| 0);
     assert_eq!(labels, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
-    let (segments, count) = connected(10, &strip(10), |a, b| labels[a as usize] == labels[b as usize]);
+    let (segments, count) = connected(10, &strip(10), &[], |a, b| labels[a as usize] == labels[b as usize]);
     assert_eq!((segments[0], segments[9], count), (0, 1, 2));
 }

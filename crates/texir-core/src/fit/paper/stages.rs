@@ -288,7 +288,7 @@ impl<'a> Optimisation<'a> {
     }
 
     fn lookup(&mut self, texture: &[f32], channels: usize, view: &FitView) -> Result<Vec<f32>> {
-        self.backend.lookup(self.pyramid, texture, channels, &view.footprints)
+        self.backend.lookup(self.pyramid, texture, channels, &view.footprints.rows)
     }
 
     fn lookup_vjp(&mut self, d_values: &[f32], channels: usize, view: &FitView) -> Result<Vec<f32>> {

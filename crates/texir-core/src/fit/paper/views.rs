@@ -12,7 +12,7 @@ use crate::progress::{Progress, Silent};
 use crate::raster::Rgb;
 use crate::rng::hash2;
 use crate::surface::Hit;
-use crate::texture::{Footprints, Pyramid};
+use crate::texture::{Footprints, Pyramid, Rows};
 
 /// Roughness and samples of the virtual-highlight render (method section 3).
 const HIGHLIGHT_ROUGHNESS: f32 = 0.01;
@@ -86,15 +86,9 @@ impl Surroundings<'_> {
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
         let fine_hits = backend.primary(&fine)?;
-        let footprints = Footprints::of_pixels(
-            self.pyramid,
-            &self.ground.scene.mesh,
-            &fine,
-            self.footprint_samples,
-            &fine_hits,
-            &used,
-        );
-        let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &footprints)?;
+        let mesh = &self.ground.scene.mesh;
+        let rows = Rows::of_pixels(self.pyramid, mesh, &fine, self.footprint_samples, &fine_hits, &used);
+        let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &rows)?;
         let points: Vec<ShadePoint> = used
             .iter()
             .zip(irradiance.as_chunks::<3>().0)
@@ -120,7 +114,7 @@ impl Surroundings<'_> {
             by_class_highlights: group(class_of, &is_highlight),
             by_class_and_room: group(|i| (class_of(i), room_of(i)), &none),
             points,
-            footprints,
+            footprints: Footprints::new(rows),
             highlights,
         })
     }
