@@ -115,7 +115,7 @@ fn buffers_and_textures_hold_the_same_hierarchy() {
         let mut backend = GpuBackend::with_hierarchy(&gpu, &scene, place).unwrap();
         light(&mut backend, &scene);
         let e = backend.irradiance(&points, Gather::new(64, 64, 6), &Silent).unwrap();
-        (e, backend.primary(&scenes::cameras()[0]).unwrap())
+        (e, backend.primary(&scenes::cameras()[0], scenes::cameras()[0].rows()).unwrap())
     });
     ROUNDING.check("E", &flat(&buffers.0), &flat(&textures.0));
     assert!(buffers.1.iter().zip(&textures.1).all(|(a, b)| a.triangle == b.triangle));

@@ -176,7 +176,7 @@ fn room() -> Scene {
 /// Pixels of a panorama of the room, each of 2 × 2 strata.
 fn pixels(scene: &Scene, backend: &mut dyn Backend, step: usize) -> Vec<[ShadePoint; STRATA]> {
     let camera = scenes::cameras()[0].supersampled(2);
-    let hits = backend.primary(&camera).unwrap();
+    let hits = backend.primary(&camera, camera.rows()).unwrap();
     let point = |pixel: usize| ShadePoint::new(&scene.mesh, &camera, pixel as u32, &hits[pixel], [0.0; 3]);
     (0..hits.len() / STRATA)
         .step_by(step)

@@ -52,7 +52,7 @@ fn primary_visibility() {
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
     let exact = Exhaustive(&scene.mesh);
     for camera in scenes::cameras() {
-        let hits = backend.primary(&camera).unwrap();
+        let hits = backend.primary(&camera, camera.rows()).unwrap();
         let twin: Vec<TraceHit<f64>> = (0..camera.pixels())
             .map(|i| primary::primary(&exact, &camera, i % camera.width, i / camera.width).unwrap())
             .collect();
@@ -69,7 +69,7 @@ fn primary_visibility() {
         // Negative control: the image of a camera a few centimetres aside is told apart.
         let mut moved = camera;
         moved.world_from_camera.w_axis += glam::Vec4::new(0.02, 0.02, 0.02, 0.0);
-        let other: Vec<f64> = backend.primary(&moved).unwrap().iter().map(t).collect();
+        let other: Vec<f64> = backend.primary(&moved, moved.rows()).unwrap().iter().map(t).collect();
         assert!(TIGHT.failures(&other, &expected).len() > hits.len() / 4);
     }
 }
@@ -82,7 +82,7 @@ fn rays_that_leave_the_scene_miss() {
     let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
     backend.set_tbl(&scenes::smooth_light(32), &Lights::none(&scene.mesh)).unwrap();
     for camera in scenes::cameras() {
-        let hits = backend.primary(&camera).unwrap();
+        let hits = backend.primary(&camera, camera.rows()).unwrap();
         let exact = Exhaustive(&scene.mesh);
         let twin = |i: usize| primary::primary::<f64>(&exact, &camera, i % camera.width, i / camera.width).is_some();
         let wrong: Vec<_> = (0..hits.len()).filter(|&i| hits[i].is_hit() != twin(i)).collect();
@@ -193,7 +193,7 @@ fn projection() {
 
 /// Pixels of a panorama of the room with random materials.
 fn shading(scene: &Scene, backend: &mut GpuBackend, camera: &Camera, step: usize) -> (Vec<ShadePoint>, Vec<Material>) {
-    let hits = backend.primary(camera).unwrap();
+    let hits = backend.primary(camera, camera.rows()).unwrap();
     (0..hits.len())
         .step_by(step)
         .map(|i| {

@@ -281,8 +281,8 @@ pub trait Backend {
     /// black.
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
-    /// Primary visibility: the closest hit through every pixel centre, `camera.pixels()` items. `t` is in metres.
-    fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>>;
+    /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres.
+    fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>>;
 
     /// Texel map: which surface point each texel in some `rows` of an atlas of `[width, height]` texels is, row by row. A texel
     /// whose centre lies in a triangle takes that point (the lowest triangle index where charts overlap); a texel that a

@@ -1,6 +1,7 @@
 //! Cameras: equirectangular panoramas and pinholes. OpenGL axes: +X right, +Y up, looking along −Z.
 
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 
 use glam::{Mat4, Vec2, Vec3};
 
@@ -145,6 +146,11 @@ impl Camera {
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height
+    }
+
+    /// All of its rows.
+    pub fn rows(&self) -> Range<usize> {
+        0..self.height
     }
 }
 

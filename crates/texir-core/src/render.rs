@@ -4,6 +4,7 @@
 //! specular radiance from tables over roughness, diffuse radiance and emission, averaged ([`Renderer::render`]).
 
 use std::f32::consts::FRAC_1_PI;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -12,7 +13,7 @@ use crate::backend::{Backend, ShadePoint};
 use crate::brdf::{self, DIELECTRIC_F0, Masking};
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::{Progress, Silent};
@@ -23,7 +24,8 @@ use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::Hit;
 use crate::texture::{Pyramid, Rows};
 
-/// Pixels worked on at a time: bounds footprints and the backend's buffers (about 100 MB) whatever the size of the view.
+/// Pixels, or sub-pixels, worked on at a time, but at least a row: bounds hits, footprints and the backend's buffers (about
+/// 100 MB) whatever the size of the view.
 const CHUNK: usize = 1 << 18;
 
 /// Sub-pixels per pixel and axis in rendered views. Captured images are box-filtered over the pixel, and at the edges of
@@ -122,11 +124,15 @@ impl<'a> Renderer<'a> {
 
     /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Textures) -> Result<Surfaces> {
-        let hits = self.backend.primary(camera)?;
+        indexable(camera)?;
+        let mut hits = Vec::with_capacity(camera.pixels());
         let mut all = Values::default();
-        let pixels: Vec<u32> = (0..camera.pixels() as u32).collect();
-        for pixels in pixels.chunks(CHUNK) {
-            all.append(self.look_up_all(&Seen { camera, hits: &hits, pixels, filter: Filter::Point }, textures)?);
+        for rows in bands(camera.height, camera.width) {
+            let band = Band { hits: self.backend.primary(camera, rows.clone())?, first: rows.start * camera.width };
+            let pixels: Vec<u32> = (rows.start * camera.width..rows.end * camera.width).map(|i| i as u32).collect();
+            let seen = Seen { camera, band: &band, pixels: &pixels, filter: Filter::Point };
+            all.append(self.look_up_all(&seen, textures)?);
+            hits.extend(band.hits);
         }
         let (width, height) = (camera.width, camera.height);
         Ok(Surfaces {
@@ -152,30 +158,35 @@ impl<'a> Renderer<'a> {
         progress: &dyn Progress,
     ) -> Result<[Rgb; N]> {
         let fine = camera.supersampled(SUB_PIXELS);
-        let hits = self.backend.primary(&fine)?;
+        indexable(&fine)?;
+        let is_metal = |of: &&Textures| of.metallic.as_ref().is_some_and(|map| map.data.iter().any(|m| *m > 0.0));
+        let metals = textures.iter().any(is_metal);
         let mut radiance = [(); N].map(|()| Rgb::filled(camera.width, camera.height, [0.0; 3]));
-        let pixels: Vec<u32> = (0..camera.pixels() as u32).collect();
-        for pixels in pixels.chunks(CHUNK / (SUB_PIXELS * SUB_PIXELS)) {
-            let strata: Vec<u32> = sub_pixels(&fine, pixels, &STRATUM).filter(|&i| hits[i as usize].is_hit()).collect();
+        for rows in bands(camera.height, ALL.len() * camera.width) {
+            progress.check()?;
+            let first = rows.start * SUB_PIXELS * fine.width;
+            let hits = self.backend.primary(&fine, rows.start * SUB_PIXELS..rows.end * SUB_PIXELS)?;
+            let band = Band { hits, first };
+            let pixels = rows.start * camera.width..rows.end * camera.width;
+            let of = |which| sub_pixels(&fine, pixels.clone(), which).filter(|&i| band.hit(i as usize).is_hit());
+            let strata: Vec<u32> = of(&STRATUM).collect();
             let points: Vec<[ShadePoint; STRATA]> = strata
                 .par_iter()
-                .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], [0.0; 3]); STRATA])
+                .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &band.hit(i as usize), [0.0; 3]); STRATA])
                 .collect();
-            let is_metal = |of: &&Textures| of.metallic.as_ref().is_some_and(|map| map.data.iter().any(|m| *m > 0.0));
-            let metals = textures.iter().any(is_metal);
             // Unasked-for rays are not counted: they depend on the textures.
             let white_points = if metals { &points[..] } else { &[] };
             let missed = pixels.len() * STRATUM.len() - strata.len();
             progress.advance(missed as u64 * u64::from(self.sampling(Masking::default()).rays()));
             let mut tables: Vec<(Masking, [Vec<Curve>; 2])> = Vec::new();
-            let seen: Vec<u32> = sub_pixels(&fine, pixels, &ALL).filter(|&i| hits[i as usize].is_hit()).collect();
+            let seen: Vec<u32> = of(&ALL).collect();
             for (radiance, textures) in radiance.iter_mut().zip(textures) {
                 let mut add = |i: u32, share: usize, value: [f32; 3]| {
                     let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
                     let sum = &mut radiance.data[y * camera.width + x];
                     *sum = std::array::from_fn(|c| sum[c] + value[c] / share as f32);
                 };
-                let view = |pixels| Seen { camera: &fine, hits: &hits, pixels, filter: Filter::Area };
+                let view = |pixels| Seen { camera: &fine, band: &band, pixels, filter: Filter::Area };
                 let values = self.look_up_all(&view(&strata), textures)?;
                 let masking = textures.masking;
                 let known = tables.iter().position(|(of, _)| *of == masking);
@@ -202,7 +213,8 @@ impl<'a> Renderer<'a> {
                 }
                 let values = self.look_up_all(&view(&seen), textures)?;
                 for (k, &i) in seen.iter().enumerate() {
-                    let point = ShadePoint::new(&self.scene.mesh, &fine, i, &hits[i as usize], values.irradiance[k]);
+                    let point =
+                        ShadePoint::new(&self.scene.mesh, &fine, i, &band.hit(i as usize), values.irradiance[k]);
                     let factor = textures.diffuse.factor(point.cosine(), values.roughness[k]) * FRAC_1_PI;
                     let diffuse =
                         |c: usize| values.albedo[k][c] * (1.0 - values.metallic[k]) * values.irradiance[k][c] * factor;
@@ -267,11 +279,29 @@ impl<'a> Renderer<'a> {
     }
 }
 
+/// The rows of a view in bands of about [`CHUNK`] items, of which a row has so many.
+fn bands(rows: usize, items: usize) -> impl Iterator<Item = Range<usize>> {
+    let band = (CHUNK / items.max(1)).max(1);
+    (0..rows).step_by(band).map(move |first| first..rows.min(first + band))
+}
+
+/// Pixels are numbered in 32 bits.
+fn indexable(camera: &Camera) -> Result<()> {
+    let Camera { width, height, .. } = camera;
+    u32::try_from(camera.pixels()).map(|_| ()).map_err(|_| {
+        Error::invalid(format!("a view of {width} × {height} samples has more than 2³² of them; render a smaller one"))
+    })
+}
+
 /// Indices in the finer image of some sub-pixels of some pixels, pixel by pixel.
-fn sub_pixels<'a>(fine: &Camera, pixels: &'a [u32], which: &'a [(usize, usize)]) -> impl Iterator<Item = u32> + 'a {
+fn sub_pixels<'a>(
+    fine: &Camera,
+    pixels: Range<usize>,
+    which: &'a [(usize, usize)],
+) -> impl Iterator<Item = u32> + use<'a> {
     let width = fine.width;
-    pixels.iter().flat_map(move |&pixel| {
-        let (x, y) = (pixel as usize % (width / SUB_PIXELS), pixel as usize / (width / SUB_PIXELS));
+    pixels.flat_map(move |pixel| {
+        let (x, y) = (pixel % (width / SUB_PIXELS), pixel / (width / SUB_PIXELS));
         which.iter().map(move |(dx, dy)| ((y * SUB_PIXELS + dy) * width + x * SUB_PIXELS + dx) as u32)
     })
 }
@@ -288,10 +318,24 @@ enum Filter {
     Area,
 }
 
+/// What some rows of a view hit.
+struct Band {
+    hits: Vec<Hit>,
+    /// Index in the view of the first of them.
+    first: usize,
+}
+
+impl Band {
+    /// What a pixel of the view hits.
+    fn hit(&self, pixel: usize) -> Hit {
+        self.hits[pixel - self.first]
+    }
+}
+
 /// Pixels of a view, and what the view hits.
 struct Seen<'a> {
     camera: &'a Camera,
-    hits: &'a [Hit],
+    band: &'a Band,
     pixels: &'a [u32],
     filter: Filter,
 }
@@ -300,12 +344,12 @@ impl Seen<'_> {
     fn footprints(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
         match self.filter {
             Filter::Point => self.bilinear(pyramid, mesh),
-            Filter::Area => Rows::of_pixels(pyramid, mesh, self.camera, 1, self.hits, self.pixels),
+            Filter::Area => Rows::of_pixels(pyramid, mesh, self.camera, 1, |pixel| self.band.hit(pixel), self.pixels),
         }
     }
 
     fn bilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
-        let taps = |&pixel: &u32| match &self.hits[pixel as usize] {
+        let taps = |&pixel: &u32| match self.band.hit(pixel as usize) {
             hit if hit.is_hit() => pyramid.bilinear(0, hit.uv(mesh)),
             _ => Vec::new(),
         };

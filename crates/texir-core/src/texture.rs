@@ -169,15 +169,15 @@ impl Rows {
         Rows { offsets, taps }
     }
 
-    /// Footprints of the listed pixels of a view, a row each. `fine` is the view [`Camera::supersampled`] by `factor`, `hits` its
-    /// primary hits: a pixel sees the mean of its factor² trilinear sub-pixel footprints, as box-filtered images do.
+    /// Footprints of the listed pixels of a view, a row each. `fine` is the view [`Camera::supersampled`] by `factor`, `hit` tells
+    /// its primary hits by pixel: a pixel of the view sees the mean of its factor² trilinear sub-pixel footprints, as box-filtered images do.
     /// Sub-pixels without a hit are left out; a pixel without any gets an empty row.
     pub fn of_pixels(
         pyramid: &Pyramid,
         mesh: &Mesh,
         fine: &Camera,
         factor: usize,
-        hits: &[Hit],
+        hit: impl Fn(usize) -> Hit + Sync,
         pixels: &[u32],
     ) -> Self {
         let width = fine.width / factor;
@@ -188,7 +188,7 @@ impl Rows {
                 let mut taps: Vec<Tap> = (0..factor * factor)
                     .flat_map(|k| {
                         let (x, y) = (x + k % factor, y + k / factor);
-                        sub_pixel(pyramid, mesh, fine, &hits[y * fine.width + x], x, y)
+                        sub_pixel(pyramid, mesh, fine, &hit(y * fine.width + x), x, y)
                     })
                     .collect();
                 merge(&mut taps);

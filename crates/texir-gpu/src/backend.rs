@@ -101,10 +101,10 @@ impl Backend for GpuBackend<'_> {
         gpu.guarded("uploading the environment", || self.geometry.surround(gpu, environment))
     }
 
-    fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>> {
+    fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         countable(camera.pixels())?;
         let gpu = self.context.gpu.clone();
-        gpu.guarded("primary", || primary::run(&mut self.context, &self.geometry, camera))
+        gpu.guarded("primary", || primary::run(&mut self.context, &self.geometry, camera, rows))
     }
 
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
@@ -224,13 +224,7 @@ impl Backend for GpuBackend<'_> {
         gpu.guarded("group_loss", || group_loss::run(&mut self.context, values, channels, groups, target))
     }
 
-    fn lookup(
-        &mut self,
-        pyramid: &Pyramid,
-        texture: &[f32],
-        channels: usize,
-        footprints: &Rows,
-    ) -> Result<Vec<f32>> {
+    fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
         sized("texture of lookup", texture.len(), atlas_len(pyramid) * channels)?;
         countable(pyramid.len() * channels)?;
         let gpu = self.context.gpu.clone();

@@ -296,7 +296,7 @@ fn probe(backend: &mut CpuBackend<'_>, mesh: &Mesh, view: &View) -> Result<ViewF
     // In a panorama a row's share of the sphere goes with the sine of its polar angle.
     let (mut all, mut open, mut seen, mut behind) = (0.0, 0.0, 0.0, 0.0);
     let mut nearest = f32::INFINITY;
-    for (i, hit) in backend.primary(&around)?.iter().enumerate() {
+    for (i, hit) in backend.primary(&around, around.rows())?.iter().enumerate() {
         let (x, y) = ((i % PROBE) as f32 + 0.5, (i / PROBE) as f32 + 0.5);
         let weight = (std::f64::consts::TAU * f64::from(y) / PROBE as f64).sin();
         all += weight;
@@ -312,7 +312,7 @@ fn probe(backend: &mut CpuBackend<'_>, mesh: &Mesh, view: &View) -> Result<ViewF
     }
     // A camera at rest looks along −Z, which is down in the world.
     let down = camera(Projection::Pinhole { fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 }, 1, 1);
-    let floor = backend.primary(&down)?.first().filter(|hit| hit.is_hit()).map(|hit| hit.t);
+    let floor = backend.primary(&down, down.rows())?.first().filter(|hit| hit.is_hit()).map(|hit| hit.t);
     Ok(ViewFindings {
         name: view.name.clone(),
         split: view.split,

@@ -39,7 +39,7 @@ pub fn write(
         let step = view.camera.width.div_ceil(WIDTH);
         let camera = reduced(&view.camera, step);
         let image = shown(&view.load_picture(progress)?, &camera, step);
-        let hits = backend.primary(&camera)?;
+        let hits = backend.primary(&camera, camera.rows())?;
         write_png_rgb(folder.join(format!("{}.png", view.name)), &with_edges(image, mesh, &hits))?;
         progress.advance(1);
     }

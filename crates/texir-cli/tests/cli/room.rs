@@ -262,7 +262,7 @@ fn outgoing(albedo: &Rgb, irradiance: &Rgb, emission: &Rgb) -> Rgb {
 }
 
 fn shoot(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint], textures: &Textures, camera: Camera) -> Picture {
-    let hits = backend.primary(&camera).unwrap();
+    let hits = backend.primary(&camera, camera.rows()).unwrap();
     let seen: Vec<Paint> = hits.iter().map(|hit| paints[hit.triangle as usize / 2]).collect();
     let seen = Raster::new(WIDTH, HEIGHT, seen).unwrap();
     let radiance = outgoing(&textures.albedo, &textures.irradiance, &textures.emission);

@@ -110,11 +110,11 @@ impl Backend for CpuBackend<'_> {
         Ok(())
     }
 
-    fn primary(&mut self, camera: &Camera) -> Result<Vec<Hit>> {
+    fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         let hit = |i: usize| {
             primary::primary::<f32>(self.scene, camera, i % camera.width, i / camera.width).map_or(Hit::MISS, Hit::from)
         };
-        Ok((0..camera.pixels()).into_par_iter().map(hit).collect())
+        Ok((rows.start * camera.width..rows.end * camera.width).into_par_iter().map(hit).collect())
     }
 
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
@@ -245,13 +245,7 @@ impl Backend for CpuBackend<'_> {
         Ok(Loss { value, gradient })
     }
 
-    fn lookup(
-        &mut self,
-        pyramid: &Pyramid,
-        texture: &[f32],
-        channels: usize,
-        footprints: &Rows,
-    ) -> Result<Vec<f32>> {
+    fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
         Ok(lookup::lookup(pyramid, texture, channels, footprints))
     }
 

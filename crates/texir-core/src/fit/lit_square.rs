@@ -55,7 +55,9 @@ impl LitSquare {
                 let camera = Camera { projection: Projection::Equirectangular, width, height, world_from_camera };
                 let fine = camera.supersampled(AXIS);
                 let mut image = Rgb::filled(width, height, [0.0; 3]);
-                for (i, hit) in backend.primary(&fine).unwrap().iter().enumerate().filter(|(_, hit)| hit.is_hit()) {
+                for (i, hit) in
+                    backend.primary(&fine, fine.rows()).unwrap().iter().enumerate().filter(|(_, hit)| hit.is_hit())
+                {
                     let pixel = i / fine.width / AXIS * width + i % fine.width / AXIS;
                     for tap in index.bilinear(hit.uv(&self.scene.mesh)) {
                         let seen = texture.data[self.atlas.texels[tap.texel as usize] as usize];

@@ -60,7 +60,7 @@ fn textures(diffuse: DiffuseModel, roughness: f32) -> Textures {
 /// The camera's view of the scene, made of one `material`, by shading every sub-pixel.
 fn shaded(backend: &mut CpuBackend<'_>, scene: &Scene, material: Material) -> Rgb {
     let fine = camera().supersampled(SUB_PIXELS);
-    let hits = backend.primary(&fine).unwrap();
+    let hits = backend.primary(&fine, fine.rows()).unwrap();
     let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
     let point = |&i: &u32| ShadePoint::new(&scene.mesh, &fine, i, &hits[i as usize], [IRRADIANCE; 3]);
     let points: Vec<ShadePoint> = seen.iter().map(point).collect();

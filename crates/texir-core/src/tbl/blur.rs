@@ -127,7 +127,8 @@ struct Points<'a> {
 
 impl<'a> Points<'a> {
     fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &'a Camera) -> Result<Self> {
-        let hits = backend.primary(&camera.supersampled(AXIS))?;
+        let fine = camera.supersampled(AXIS);
+        let hits = backend.primary(&fine, fine.rows())?;
         Ok(Self { mesh, camera, shown: Shown::new(backend, mesh, camera)?, hits })
     }
 

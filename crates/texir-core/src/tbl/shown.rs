@@ -21,7 +21,7 @@ pub(crate) struct Shown<'a> {
 impl<'a> Shown<'a> {
     /// Traces the pixels' centres.
     pub fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &'a Camera) -> Result<Self> {
-        Ok(Self { mesh, camera, hits: backend.primary(camera)? })
+        Ok(Self { mesh, camera, hits: backend.primary(camera, camera.rows())? })
     }
 
     /// Whether a pixel shows the surface of a point at this distance from the camera, metres: it lies no further from the

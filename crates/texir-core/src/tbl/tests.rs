@@ -72,7 +72,7 @@ fn cameras() -> Vec<Camera> {
 
 /// The image that a camera sees where the surface shines as `radiance(position, direction to the camera)`.
 fn photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
-    let hits = CpuBackend::new(scene).primary(camera).unwrap();
+    let hits = CpuBackend::new(scene).primary(camera, camera.rows()).unwrap();
     let pixel = |i: usize| {
         let (x, y) = ((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
         let direction = camera.direction(x, y);

@@ -1,5 +1,7 @@
 //! Host side of `primary.wgsl`.
 
+use std::ops::Range;
+
 use bytemuck::{Pod, Zeroable};
 use texir_core::camera::{Camera, Projection};
 use texir_core::error::Result;
@@ -49,13 +51,15 @@ pub(crate) struct PrimaryParams {
 }
 
 /// See [`texir_core::backend::Backend::primary`].
-pub(crate) fn run(ctx: &mut Context, geometry: &Geometry, camera: &Camera) -> Result<Vec<Hit>> {
+pub(crate) fn run(ctx: &mut Context, geometry: &Geometry, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
     let kernel = ctx.kernel("primary", "primary", None)?;
     let view = ctx.params(&CameraUniform::from(camera));
-    let mut out = Vec::with_capacity(camera.pixels());
-    ctx.one_ray_each(camera.pixels(), |ctx, pixels| {
+    let first = rows.start * camera.width;
+    let all = rows.len() * camera.width;
+    let mut out = Vec::with_capacity(all);
+    ctx.one_ray_each(all, |ctx, pixels| {
         let count = pixels.len();
-        let params = ctx.params(&PrimaryParams { first: pixels.start as u32, count: count as u32 });
+        let params = ctx.params(&PrimaryParams { first: (first + pixels.start) as u32, count: count as u32 });
         let hits = ctx.pool.reserve(&ctx.gpu, "hits", (count * size_of::<Hit>()) as u64)?;
         let [nodes, triangles] = geometry.bindings();
         let own = [("camera", view.binding()), ("params", params.binding()), ("hits", hits.binding())];

@@ -351,7 +351,7 @@ mod tests {
             let mut seen = vec![false; truth.len()];
             for (i, view) in views.iter().enumerate() {
                 let Camera { width, height, .. } = view.camera;
-                let hits = backend.primary(&view.camera).unwrap();
+                let hits = backend.primary(&view.camera, view.camera.rows()).unwrap();
                 let shows = |(pixel, hit): (usize, &Hit)| {
                     let direction = view.camera.direction((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5);
                     class(hit.triangle, view.camera.position() + direction * hit.t)

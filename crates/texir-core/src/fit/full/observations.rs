@@ -132,7 +132,7 @@ impl Observer<'_> {
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let fine = view.camera.supersampled(AXIS);
-        let hits = backend.primary(&fine)?;
+        let hits = backend.primary(&fine, fine.rows())?;
         let strata_of = |pixel: usize| -> [usize; STRATA] {
             let (x, y) = (pixel % view.camera.width * AXIS, pixel / view.camera.width * AXIS);
             std::array::from_fn(|k| (y + k / AXIS) * fine.width + x + k % AXIS)

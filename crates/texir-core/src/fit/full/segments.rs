@@ -86,7 +86,8 @@ pub fn segment(
     let room =
         if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
-    let (segment, count) = connected(in_room.len(), adjacency, &labels.backs, |a, b| in_room[a as usize] == in_room[b as usize]);
+    let (segment, count) =
+        connected(in_room.len(), adjacency, &labels.backs, |a, b| in_room[a as usize] == in_room[b as usize]);
     let face = faces((&segment, count), &labels.surface, adjacency, (SMALLEST_FACE / (texel * texel)) as usize);
     let mut of_segment = vec![(0, 0); count];
     segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);

@@ -77,7 +77,7 @@ impl Surroundings<'_> {
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let rooms = view.load_room()?;
-        let hits = backend.primary(&view.camera)?;
+        let hits = backend.primary(&view.camera, view.camera.rows())?;
         let used: Vec<u32> = (0..hits.len() as u32)
             .filter(|&i| {
                 let hit = &hits[i as usize];
@@ -85,9 +85,9 @@ impl Surroundings<'_> {
             })
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
-        let fine_hits = backend.primary(&fine)?;
+        let fine_hits = backend.primary(&fine, fine.rows())?;
         let mesh = &self.ground.scene.mesh;
-        let rows = Rows::of_pixels(self.pyramid, mesh, &fine, self.footprint_samples, &fine_hits, &used);
+        let rows = Rows::of_pixels(self.pyramid, mesh, &fine, self.footprint_samples, |i| fine_hits[i], &used);
         let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &rows)?;
         let points: Vec<ShadePoint> = used
             .iter()
