@@ -82,9 +82,9 @@ impl Camera {
         let (width, height) = (R::of(self.width as f64), R::of(self.height as f64));
         let (px, py) = match self.projection {
             Projection::Equirectangular => {
-                let length = from_centre.dot(from_centre).sqrt();
-                let cosine = (y / length).max(R::of(-1.0)).min(R::of(1.0));
-                ((x.atan2(-z) / R::of(TAU) + R::of(0.5)) * width, cosine.acos() / R::of(PI) * height)
+                // acos(y / length), without its loss of digits at the poles.
+                let polar = (x * x + z * z).sqrt().atan2(y);
+                ((x.atan2(-z) / R::of(TAU) + R::of(0.5)) * width, polar / R::of(PI) * height)
             }
             Projection::Pinhole { fx, fy, cx, cy } => {
                 if !(z < R::of(0.0)) {

@@ -126,6 +126,13 @@ impl Checkpoints {
         Ok(made)
     }
 
+    /// Whether any step is kept: an earlier or this run has something to go on from.
+    pub fn any(&self) -> bool {
+        let is_step = |entry: fs::DirEntry| entry.path().extension().is_some_and(|e| e == ENDING);
+        let entries = self.folder.as_ref().and_then(|folder| fs::read_dir(folder).ok());
+        entries.into_iter().flatten().flatten().any(is_step)
+    }
+
     /// Removes the steps: all is done.
     pub fn finish(self) {
         // What cannot be removed is in nobody's way.

@@ -2,6 +2,11 @@
 
 use glam::{Vec2, Vec3};
 
+use crate::surface::offset_origin;
+
+/// Rays may start off a surface by this share of the mesh's size.
+const LARGEST_STEP: f32 = 1e-3;
+
 /// An indexed triangle mesh. World space, metres, right-handed. Texture origin top left (v down, as in glTF).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
@@ -52,6 +57,20 @@ impl Mesh {
     /// Axis-aligned bounds `(min, max)`.
     pub fn bounds(&self) -> (Vec3, Vec3) {
         self.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p), hi.max(p)))
+    }
+
+    /// What is wrong with where the mesh lies: rays start off its surfaces by some hundred steps of single precision
+    /// ([`offset_origin`]), which must be little beside the mesh's size.
+    pub fn misplaced(&self) -> Option<String> {
+        let (low, high) = self.bounds();
+        let (away, size) = (low.abs().max(high.abs()).max_element(), (high - low).length());
+        let moved = (offset_origin(Vec3::splat(away), Vec3::X).x - away).max(offset_origin(Vec3::ZERO, Vec3::X).x);
+        (moved > LARGEST_STEP * size).then(|| {
+            format!(
+                "the mesh is {size} m large and reaches {away} m from the origin, where rays start {moved} m off its surfaces: light \
+                 will be wrong; expected metres, and the mesh (with its cameras) near the origin"
+            )
+        })
     }
 
     /// Replaces `normals` by the face normals, splitting shared vertices: flat shading.

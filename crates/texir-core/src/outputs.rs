@@ -47,7 +47,7 @@ pub const MESH: &str = "mesh.obj";
 pub const METRICS: &str = "metrics.json";
 /// Every setting of the fit, TOML.
 pub const SETTINGS: &str = "settings.toml";
-/// One line per step of the fit, JSON.
+/// One line per epoch of paper mode, JSON; full mode has none, and leaves it empty.
 pub const LOG: &str = "log.jsonl";
 /// [`Run`], JSON.
 pub const RUN: &str = "run.json";

@@ -65,7 +65,7 @@ impl TableSampling {
     }
 }
 
-/// Specular radiance of a dielectric (F0 = 0.04) at the [`NODES`], linear RGB; the mean over the pixel's strata.
+/// Specular radiance at the [`NODES`] under the F0 that was asked for, linear RGB; the mean over the pixel's strata.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Curve {

@@ -14,7 +14,7 @@ use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
 use super::report::{name, publish};
-use super::{CaptureArgs, Session, eval, fit};
+use super::{CaptureArgs, Session, check_folder, eval, fit};
 use crate::device;
 use crate::failure::Failure;
 use crate::figures::{self, FIGURES};
@@ -88,6 +88,7 @@ impl Ablate {
     /// and settings are kept.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let capture = self.capture.load(session)?;
+        check_folder(&self.output, &capture.files())?;
         let outcomes: Vec<Outcome> =
             VARIANTS.iter().map(|variant| self.one(variant, &capture, session)).collect::<Result<_, _>>()?;
         write_atomic(self.output.join(TABLE), |sink| serde_json::to_writer_pretty(sink, &outcomes))?;

@@ -25,6 +25,9 @@ use super::{Session, check_outputs, check_side, tbl};
 use crate::device;
 use crate::failure::Failure;
 
+/// Rays per texel at most: their standard error is far below what images can tell.
+const MOST_RAYS: i64 = 1 << 20;
+
 /// Arguments of `texir bake`.
 #[derive(Debug, Args)]
 pub struct Bake {
@@ -42,7 +45,7 @@ pub struct Bake {
     size: Option<usize>,
     /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded up to a
     /// multiple of four unless --no-denoise
-    #[arg(long, value_name = "N", default_value_t = 1024)]
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=MOST_RAYS))]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
     #[arg(long, value_name = "SHARE")]
@@ -106,9 +109,6 @@ struct Summary {
 impl Bake {
     /// Bakes and writes the map.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        if self.spp == 0 {
-            return Err(Failure::new("--spp must be at least 1"));
-        }
         self.size.map_or(Ok(()), check_side)?;
         let quality = self.quality(session)?;
         lightmap::check_extension(&self.output)?;
@@ -120,10 +120,7 @@ impl Bake {
             .flatten()
             .map(PathBuf::as_path)
             .collect();
-        check_outputs(&[&self.output], &read)?;
-        if self.stderr {
-            check_outputs(&[&self.standard_error()], &read)?;
-        }
+        self.check_outputs(&read)?;
         if self.is_authored() {
             return authored::run(self, &read, session);
         }
@@ -165,6 +162,12 @@ impl Bake {
             let mean = rays as f64 / valid as f64;
             format!("{}: {width} × {height}, {valid} texels, {mean:.0} rays each", summary.output.display())
         })
+    }
+
+    /// Errors where the map, or what `--stderr` writes, would replace what it is made of.
+    fn check_outputs(&self, inputs: &[impl AsRef<Path>]) -> Result<(), Failure> {
+        check_outputs(&[&self.output], inputs)?;
+        if self.stderr { check_outputs(&[&self.standard_error()], inputs) } else { Ok(()) }
     }
 
     /// How many rays, and what becomes of their noise.
@@ -274,6 +277,7 @@ impl Bake {
         if self.input.is_dir() {
             let options = LoadOptions { mesh: None, tbl: self.tbl.clone() };
             let capture = capture::load(&self.input, &options, session.console)?;
+            self.check_outputs(&capture.files())?;
             let scene = Scene::new(capture.mesh.clone())?;
             let light = match &capture.tbl {
                 Some(texture) => Light::Texture(capture::Tbl::read(texture, session.console)?.radiance),

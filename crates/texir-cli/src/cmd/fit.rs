@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::Capture;
 use texir_core::checkpoint::Checkpoints;
@@ -15,7 +16,7 @@ use texir_core::render::Textures;
 use texir_core::scene::Scene;
 
 use super::corrections::CorrectionArgs;
-use super::{CaptureArgs, Session, describe, eval, report};
+use super::{CaptureArgs, Session, check_folder, describe, eval, report};
 use crate::args::Config;
 use crate::device;
 use crate::failure::Failure;
@@ -63,6 +64,13 @@ impl From<Mode> for fit::Mode {
     }
 }
 
+/// What `--json` prints where nothing is evaluated.
+#[derive(Serialize)]
+struct Written {
+    output: PathBuf,
+    scene: PathBuf,
+}
+
 impl Fit {
     /// Fits, evaluates, reports.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
@@ -74,12 +82,14 @@ impl Fit {
         let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
         let mut capture = self.capture.load(session)?;
+        check_folder(&self.output, &capture.files())?;
         if let Some(corrections) = self.corrections.apply(&mut capture, session)? {
             corrections.write(&staging.folder().join(CORRECTIONS))?;
         }
         let output = write(staging, &capture, session)?;
         if self.no_eval {
-            return Ok(());
+            let written = Written { output: self.output.clone(), scene: self.output.join(SCENE) };
+            return session.print(&written, || written.output.display().to_string());
         }
         let evaluation = report::publish(&self.output, &output, &capture, eval::RAYS, session)?;
         session
@@ -101,7 +111,10 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         fit::fit(backend.as_mut(), &scene, capture, fitting, &checkpoints, session.console, &mut |epoch| {
             log.push(*epoch)
         })
-        .inspect_err(|_| session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display())))?;
+        .inspect_err(|_| match checkpoints.any() {
+            true => session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display())),
+            false => checkpoints.clone().finish(),
+        })?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
-use glam::Mat4;
+use glam::{Mat4, Vec3};
 use serde::Serialize;
 use texir_core::backend::Backend;
 use texir_core::camera::{Camera, Projection};
@@ -17,11 +17,13 @@ use texir_core::fit::{FitSettings, Mode, memory};
 use texir_core::image_io::is_encoded;
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::atlas_report;
+use texir_core::progress::Progress;
+use texir_core::rooms::{self, RoomOptions};
 use texir_core::scene::Scene;
 use texir_core::tbl::blur;
 
 use super::import::SourceArgs;
-use super::{CaptureArgs, Session, overlay};
+use super::{CaptureArgs, Session, check_folder, overlay};
 use crate::console::count;
 use crate::failure::Failure;
 
@@ -33,6 +35,9 @@ const OUTSIDE: f64 = 0.3;
 
 /// A camera that sees more back faces than this is taken to be inside a solid, or the mesh to be turned inside out.
 const INSIDE_OUT: f64 = 0.3;
+
+/// Masks that leave out more than this share of all pixels are taken to be inverted.
+const MASKED: f64 = 0.9;
 
 /// Arguments of `texir inspect`.
 #[derive(Debug, Args)]
@@ -159,6 +164,7 @@ impl Inspect {
                 )
                 .help("make one with `texir import`"));
             }
+            check_folder(folder, &capture.files())?;
             let scene = Scene::new(capture.mesh.clone())?;
             overlay::write(&mut CpuBackend::new(&scene), &capture.mesh, &capture.views, folder, session.console)?;
         }
@@ -270,8 +276,30 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
         origin,
     };
     findings.warnings.extend(unreadable);
+    if findings.origin.capture {
+        findings.warnings.extend(masked(&training, session)?);
+    }
+    let cameras: Vec<Vec3> = capture.views.iter().map(|view| view.camera.position()).collect();
+    findings.warnings.extend(rooms::detect(mesh, &cameras, &RoomOptions::default()).err().map(|e| e.to_string()));
     findings.warnings.extend(warnings(&findings));
     Ok(findings)
+}
+
+/// What is wrong with the masks of the training views, if they leave hardly anything.
+fn masked(views: &[View], session: &Session<'_>) -> Result<Option<String>, Failure> {
+    let (mut excluded, mut all) = (0, 0);
+    for view in views {
+        session.console.check()?;
+        all += view.camera.pixels();
+        excluded += view.load_mask()?.map_or(0, |mask| mask.data.iter().filter(|used| !**used).count());
+    }
+    let share = excluded as f64 / all.max(1) as f64;
+    Ok((share > MASKED).then(|| {
+        format!(
+            "mask_path: masks leave out {:.0} % of the training views' pixels: white is used and black is not; are they inverted?",
+            100.0 * share
+        )
+    }))
 }
 
 fn area(mesh: &Mesh) -> f64 {

@@ -98,11 +98,24 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
     }
 }
 
+fn same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+}
+
+/// Errors where a folder that is to be written to has files that are read: before any work.
+fn check_folder(folder: &Path, inputs: &[PathBuf]) -> Result<(), Failure> {
+    let inside = |input: &&PathBuf| input.parent().is_some_and(|parent| same(parent, folder));
+    inputs.iter().find(inside).map_or(Ok(()), |input| {
+        let input = input.file_name().unwrap_or_default().display();
+        Err(Failure::new(format!("{}: has {input} in it, which the output is made of", folder.display()))
+            .help("give another folder, or one that does not exist yet"))
+    })
+}
+
 /// Errors where a file that is to be written is one that is read, or a folder: before any work.
-fn check_outputs(outputs: &[&Path], inputs: &[&Path]) -> Result<(), Failure> {
-    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+fn check_outputs(outputs: &[&Path], inputs: &[impl AsRef<Path>]) -> Result<(), Failure> {
     for output in outputs {
-        if inputs.iter().any(|input| same(output, input)) {
+        if inputs.iter().any(|input| same(output, input.as_ref())) {
             return Err(Failure::new(format!("{}: the output would replace what it is made of", output.display()))
                 .help("give --output another name or folder"));
         }

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::capture::load_cameras;
+use texir_core::capture::{View, load_cameras};
 use texir_core::image_io::{encode_srgb, write_png_rgb, write_rgb};
-use texir_core::outputs::FitOutput;
+use texir_core::outputs::{FitOutput, SCENE};
 use texir_core::progress::Progress;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
-use super::{Session, eval};
+use super::{Session, check_folder, eval};
 use crate::device;
 use crate::failure::Failure;
 
@@ -46,6 +46,8 @@ impl Render {
     /// Renders every camera.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let views = load_cameras(&self.cameras)?;
+        let images = views.iter().flat_map(View::files).map(|(_, path)| path.to_owned());
+        check_folder(&self.output, &images.chain([self.cameras.clone(), self.out.join(SCENE)]).collect::<Vec<_>>())?;
         let output = FitOutput::load(&self.out, session.console)?;
         let scene = Scene::new(output.mesh)?;
         let mut backend = device::open(&scene, session.config, session.console)?;

@@ -50,8 +50,8 @@ impl Tbl {
         if self.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("exr")) {
             return Err(Failure::new(format!("{}: an HDR texture is written as .exr", self.output.display())));
         }
-        check_outputs(&[&self.output], &[])?;
         let mut capture = self.capture.load(session)?;
+        check_outputs(&[&self.output], &capture.files())?;
         self.corrections.apply(&mut capture, session)?;
         let scene = Scene::new(capture.mesh.clone())?;
         let mut backend = device::open(&scene, session.config, session.console)?;

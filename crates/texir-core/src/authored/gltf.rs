@@ -110,6 +110,9 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
         .collect::<Result<_>>()?;
     let mut model = Model { mesh: Mesh::default(), size: [size; 2], lights, parts, shading, images };
     model.lay_out(size, progress)?;
+    if let Some(what) = model.mesh.misplaced() {
+        progress.warn(&format!("{}: {what}", path.display()));
+    }
     Ok(model)
 }
 

@@ -41,7 +41,7 @@ pub struct Baked {
     /// Standard error of the luminance of E before denoising, in the unit of E: estimated from a texel's neighbours. Where
     /// [`Quality::error`] asked for it.
     pub standard_error: Option<Vec<f32>>,
-    /// Rays traced.
+    /// Rays that were asked for: where there are no lights, those to them are not traced.
     pub rays: u64,
 }
 

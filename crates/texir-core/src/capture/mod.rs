@@ -130,6 +130,14 @@ impl Capture {
     pub fn views(&self, split: Split) -> impl Iterator<Item = &View> {
         self.views.iter().filter(move |v| v.split == split)
     }
+
+    /// The files that it is made of: no output may replace one.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let truth = self.truth.iter().flat_map(|truth| [&truth.albedo, &truth.roughness]);
+        let of_folder = std::iter::once(&self.mesh_path).chain(&self.tbl).chain(&self.emission).chain(truth);
+        let of_views = self.views.iter().flat_map(View::files).map(|(_, path)| path.to_owned());
+        std::iter::once(self.root.join("transforms.json")).chain(of_folder.cloned()).chain(of_views).collect()
+    }
 }
 
 /// Posed views alone, from any camera file that texir reads: for rendering. Their images need not exist.

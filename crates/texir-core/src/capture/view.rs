@@ -112,7 +112,7 @@ impl View {
     }
 
     /// Every file that belongs to the view, with the field of `transforms.json` that names it.
-    fn files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
+    pub fn files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
         let optional = [
             ("semantic_path", &self.semantic),
             ("mask_path", &self.mask),

@@ -95,7 +95,7 @@ pub struct FitResult {
     pub timings: Vec<(String, f64)>,
 }
 
-/// Fits a capture. The backend is the scene's; `log` receives one entry per epoch. With `checkpoints` of the same
+/// Fits a capture. The backend is the scene's; `log` receives one entry per epoch of paper mode. With `checkpoints` of the same
 /// [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
 pub fn fit(
     backend: &mut dyn Backend,

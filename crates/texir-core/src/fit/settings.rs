@@ -494,6 +494,30 @@ impl Default for StageThreeSettings {
 /// A setting's name, its value, whether it is allowed, and what is.
 type Check = (&'static str, f32, bool, &'static str);
 
+fn not_negative(name: &'static str, value: f32) -> Check {
+    (name, value, value >= 0.0 && value.is_finite(), "at least 0")
+}
+
+fn positive(name: &'static str, value: f32) -> Check {
+    (name, value, value > 0.0 && value.is_finite(), "above 0")
+}
+
+fn counts(name: &'static str, value: u32) -> Check {
+    (name, value as f32, (1..=1024).contains(&value), "1 to 1024")
+}
+
+fn at_least_one(name: &'static str, value: u32) -> Check {
+    (name, value as f32, value > 0, "at least 1")
+}
+
+fn share(name: &'static str, value: f32) -> Check {
+    (name, value, (0.0..=1.0).contains(&value), "in [0, 1]")
+}
+
+fn roughness(name: &'static str, value: f32) -> Check {
+    (name, value, (0.03..=1.0).contains(&value), "in [0.03, 1]")
+}
+
 impl FullSettings {
     /// Pixels along the edge of a block that shares light samples.
     pub fn block_edge(&self, camera: &Camera) -> usize {
@@ -506,13 +530,8 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 44] {
+    fn checks(&self) -> [Check; 46] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
-        let not_negative = |name, value: f32| (name, value, value >= 0.0 && value.is_finite(), "at least 0");
-        let positive = |name, value: f32| (name, value, value > 0.0 && value.is_finite(), "above 0");
-        let counts = |name, value: u32| (name, value as f32, (1..=1024).contains(&value), "1 to 1024");
-        let share = |name, value: f32| (name, value, (0.0..=1.0).contains(&value), "in [0, 1]");
-        let roughness = |name, value: f32| (name, value, (0.03..=1.0).contains(&value), "in [0.03, 1]");
         [
             ("full.alternations", self.alternations as f32, self.alternations <= 16, "at most 16"),
             ("full.block_angle", self.block_angle, (0.0..=10.0).contains(&self.block_angle), "in [0, 10]"),
@@ -549,11 +568,13 @@ impl FullSettings {
             positive("full.roughness.local.agreement", r.local.agreement),
             ("full.roughness.joints.width", r.joints.width, (0.0..=0.5).contains(&r.joints.width), "in [0, 0.5]"),
             positive("full.roughness.joints.contrast", r.joints.contrast),
+            positive("full.roughness.joints.length", r.joints.length),
             share("full.roughness.joints.least_share", r.joints.least_share),
             not_negative("full.roughness.joints.pull", r.joints.pull),
             positive("full.roughness.joints.agreement", r.joints.agreement),
             share("full.palette.strength", p.strength),
             positive("full.palette.bandwidth", p.bandwidth),
+            ("full.palette.colours", p.colours as f32, (1..=256).contains(&p.colours), "1 to 256"),
             positive("full.palette.reach", p.reach),
             share("full.palette.least_share", p.least_share),
             not_negative("full.metallic.gain", self.metallic.gain),
@@ -580,9 +601,8 @@ impl FitSettings {
     pub fn validate(&self) -> Result<()> {
         let p = &self.parameters;
         let o = &self.optimiser;
-        let not_negative = |weight: f32| weight >= 0.0 && weight.is_finite();
         let within = |value: f32, range: [f32; 2]| value >= range[0] && value <= range[1];
-        let checks: [Check; 21] = [
+        let checks = [
             ("atlas_size", self.atlas_size as f32, self.atlas_size <= LARGEST_SIDE, "at most 16384"),
             (
                 "irradiance_samples",
@@ -590,20 +610,20 @@ impl FitSettings {
                 !(1..LEAST_RAYS).contains(&self.irradiance_samples),
                 "0, or at least 4",
             ),
-            ("specular_samples", self.specular_samples as f32, self.specular_samples > 0, "at least 1"),
+            at_least_one("specular_samples", self.specular_samples),
             ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),
-            ("emitter_ratio", self.emitter_ratio, self.emitter_ratio > 0.0, "above 0"),
-            ("optimiser.learning_rate", o.learning_rate, o.learning_rate > 0.0, "above 0"),
+            positive("emitter_ratio", self.emitter_ratio),
+            positive("optimiser.learning_rate", o.learning_rate),
             ("optimiser.decay", o.decay, o.decay > 0.0 && o.decay <= 1.0, "in (0, 1]"),
-            ("optimiser.decay_epochs", o.decay_epochs as f32, o.decay_epochs > 0, "at least 1"),
+            at_least_one("optimiser.decay_epochs", o.decay_epochs),
             ("optimiser.beta1", o.beta1, (0.0..1.0).contains(&o.beta1), "in [0, 1)"),
             ("optimiser.beta2", o.beta2, (0.0..1.0).contains(&o.beta2), "in [0, 1)"),
-            ("optimiser.epsilon", o.epsilon, o.epsilon > 0.0, "above 0"),
-            ("parameters.albedo_range[0]", p.albedo_range[0], not_negative(p.albedo_range[0]), "at least 0"),
+            positive("optimiser.epsilon", o.epsilon),
+            not_negative("parameters.albedo_range[0]", p.albedo_range[0]),
             (
                 "parameters.albedo_range[1]",
                 p.albedo_range[1],
-                p.albedo_range[1] > p.albedo_range[0],
+                p.albedo_range[1] > p.albedo_range[0] && p.albedo_range[1].is_finite(),
                 "above the lower bound",
             ),
             (
@@ -625,30 +645,10 @@ impl FitSettings {
                 within(p.roughness_start, p.roughness_range),
                 "within parameters.roughness_range",
             ),
-            (
-                "stage_one.semantic_weight",
-                self.stage_one.semantic_weight,
-                not_negative(self.stage_one.semantic_weight),
-                "at least 0",
-            ),
-            (
-                "stage_two.propagation_weight",
-                self.stage_two.propagation_weight,
-                not_negative(self.stage_two.propagation_weight),
-                "at least 0",
-            ),
-            (
-                "stage_three.smoothness_weight",
-                self.stage_three.smoothness_weight,
-                not_negative(self.stage_three.smoothness_weight),
-                "at least 0",
-            ),
-            (
-                "stage_two.quantile",
-                self.stage_two.quantile,
-                (0.0..=1.0).contains(&self.stage_two.quantile),
-                "in [0, 1]",
-            ),
+            not_negative("stage_one.semantic_weight", self.stage_one.semantic_weight),
+            not_negative("stage_two.propagation_weight", self.stage_two.propagation_weight),
+            not_negative("stage_three.smoothness_weight", self.stage_three.smoothness_weight),
+            share("stage_two.quantile", self.stage_two.quantile),
         ];
         if self.mode == Mode::Paper && self.full.metallic.enabled {
             return Err(Error::invalid(
@@ -685,5 +685,50 @@ mod tests {
         assert_eq!(rounds.len(), 2);
         assert!(rounds[1] == settings && rounds[0].sampling(0, 0).rays() < settings.sampling(0, 0).rays() / 2);
         assert_eq!(rounds[0].diffuse.candidates().len(), 1);
+    }
+
+    /// The places of all numbers of a table, as paths of keys and indices.
+    fn numbers(value: &toml::Value, path: &[String], found: &mut Vec<Vec<String>>) {
+        let below = |key: String, value: &toml::Value, found: &mut Vec<_>| {
+            numbers(value, &[path, &[key]].concat(), found);
+        };
+        match value {
+            toml::Value::Integer(_) | toml::Value::Float(_) => found.push(path.to_vec()),
+            toml::Value::Table(table) => table.iter().for_each(|(key, value)| below(key.clone(), value, found)),
+            toml::Value::Array(array) => {
+                array.iter().enumerate().for_each(|(i, value)| below(i.to_string(), value, found));
+            }
+            _ => {}
+        }
+    }
+
+    fn place<'a>(value: &'a mut toml::Value, path: &[String]) -> &'a mut toml::Value {
+        path.iter().fold(value, |value, key| match value {
+            toml::Value::Array(array) => &mut array[key.parse::<usize>().unwrap()],
+            table => &mut table[key],
+        })
+    }
+
+    #[test]
+    fn every_number_is_checked() {
+        let defaults = FitSettings::default();
+        defaults.validate().unwrap();
+        let table = toml::Value::try_from(&defaults).unwrap();
+        let mut paths = Vec::new();
+        numbers(&table, &[], &mut paths);
+        assert!(paths.len() > 60, "{}", paths.len());
+        for path in paths {
+            let refused = |with: toml::Value| {
+                let mut changed = table.clone();
+                *place(&mut changed, &path) = with;
+                // Integers that are none, or negative, are refused as they are read.
+                FitSettings::deserialize(changed).map_or(true, |settings| settings.validate().is_err())
+            };
+            for wrong in [f64::NAN, f64::INFINITY, -1.0] {
+                assert!(refused(toml::Value::Float(wrong)), "{path:?} = {wrong}");
+            }
+            // Negative control: what it is.
+            assert!(!refused(place(&mut table.clone(), &path).clone()), "{path:?}");
+        }
     }
 }

@@ -65,7 +65,9 @@ pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
     };
     let placed = |uv: &Option<Vec2>| uv.is_some_and(|uv| uv.is_finite());
     let unplaced = raw.uvs.iter().filter(|uv| !placed(uv)).count();
-    Ok((check(path, raw)?, unplaced))
+    let mut file = check(path, raw)?;
+    file.warnings.extend(file.mesh.misplaced().map(|what| format!("{}: {what}", path.display())));
+    Ok((file, unplaced))
 }
 
 fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {

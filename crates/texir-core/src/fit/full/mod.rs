@@ -64,10 +64,14 @@ pub fn fit(
     drop(map);
     let labels = Labels::vote(backend, scene, (atlas, adjacency), training, progress)?;
     if !labels.has_classes() {
-        progress.warn(
-            "no view has semantic classes: segments are made from geometry and colour alone, and surfaces that look alike \
-             share their roughness; semantic images tell them apart better",
-        );
+        let what = match training.iter().any(|view| view.semantic.is_some()) {
+            true => "semantic images name no class where masks let pixels count",
+            false => "no view has semantic classes",
+        };
+        progress.warn(&format!(
+            "{what}: segments are made from geometry and colour alone, and surfaces that look alike share their roughness; \
+             semantic images tell them apart better"
+        ));
     }
     let again = Named { progress, of: "again" };
     let rounds = settings.rounds();
@@ -159,13 +163,15 @@ fn recover(
     let model: Vec<u32> = segments.segment.iter().map(|s| models[*s as usize]).collect();
     hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
     let roughness = with_joints(&roughness);
-    // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's.
+    // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's. What metal
+    // shows does not depend on it.
     const MOST: Vec3A = Vec3A::splat(10.0);
     let corrected: Vec<[f32; 3]> = (0..painted.len())
         .into_par_iter()
         .map(|t| {
             let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(MOST.recip(), MOST);
-            (irradiance[t] * if seen.is_seen[t] { given_up } else { Vec3A::ONE }).to_array()
+            let takes = seen.is_seen[t] && problem.metal.get(t) != Some(&true);
+            (irradiance[t] * if takes { given_up } else { Vec3A::ONE }).to_array()
         })
         .collect();
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();

@@ -111,8 +111,8 @@ impl Observer<'_> {
         progress.finish();
         if all.is_empty() {
             return Err(Error::invalid(
-                "no pixel of a training view shows a surface that is not a light source: check the cameras against the \
-                 mesh with `texir inspect`",
+                "no pixel of a training view shows a surface that is not a light source: check masks, and the cameras \
+                 against the mesh, with `texir inspect`",
             ));
         }
         all.index(self.atlas.texels.len());

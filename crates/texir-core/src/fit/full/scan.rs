@@ -235,7 +235,8 @@ pub(super) fn cost(e: Vec3A, sigma: f32, colour_weight: f32) -> f32 {
     (squared / (2.0 * sigma).powi(2)).ln_1p()
 }
 
-/// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1: real materials
+/// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1 beyond what rougher
+/// nodes have found: real materials
 /// differ from the BRDF in their grazing reflectance (and in retro-reflection), which a scan would take for gloss.
 fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[Vec3A], sigma: &[f32]) -> Vec<[f32; 2]> {
     // Σ ω (1, g, g², e, g e), ω the Cauchy weight.
@@ -263,7 +264,7 @@ fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[Vec3A
 }
 
 /// Roughness of the minimum of a cost curve over the nodes, refined in ln r by a cubic through the best node and its
-/// adjacency: costs rise unevenly, as highlights fade faster than they sharpen.
+/// neighbours: costs rise unevenly, as highlights fade faster than they sharpen.
 pub fn minimum(cost: &[f32; NODES]) -> f32 {
     let k = (0..NODES).min_by(|a, b| cost[*a].total_cmp(&cost[*b])).unwrap_or(0);
     if k == 0 || k == NODES - 1 {

@@ -49,7 +49,7 @@ pub struct EpochLog {
     pub image: f32,
     /// Smoothness or propagation term, weighted.
     pub smooth: f32,
-    /// Seconds since the fit began.
+    /// Seconds since the stages began, in the run that came to it.
     pub seconds: f64,
 }
 
