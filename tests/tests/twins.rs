@@ -59,6 +59,10 @@ fn primary_visibility() {
         let t = |h: &Hit| if h.is_hit() { f64::from(h.t) } else { f64::NAN };
         let (got, expected): (Vec<f64>, Vec<f64>) = (hits.iter().map(t).collect(), twin.iter().map(|h| h.t).collect());
         TIGHT.check("distance", &got, &expected);
+        // Rows by themselves are those of the whole.
+        let rows = camera.height / 3..camera.height / 2;
+        let (first, end) = (rows.start * camera.width, rows.end * camera.width);
+        assert!(end > first && backend.primary(&camera, rows).unwrap() == hits[first..end]);
         // Barycentric coordinates where no other triangle is as near.
         let same: Vec<_> = hits.iter().zip(&twin).filter(|(h, e)| h.triangle == e.triangle).collect();
         assert!(same.len() + 4 > hits.len(), "{} of {} triangles differ", hits.len() - same.len(), hits.len());

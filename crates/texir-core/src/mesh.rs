@@ -67,7 +67,7 @@ impl Mesh {
         let moved = (offset_origin(Vec3::splat(away), Vec3::X).x - away).max(offset_origin(Vec3::ZERO, Vec3::X).x);
         (moved > LARGEST_STEP * size).then(|| {
             format!(
-                "the mesh is {size} m large and reaches {away} m from the origin, where rays start {moved} m off its surfaces: light \
+                "the mesh is {size:.2} m large and reaches {away:.0} m from the origin, where rays start {moved:.0e} m off its surfaces: light \
                  will be wrong; expected metres, and the mesh (with its cameras) near the origin"
             )
         })
@@ -84,5 +84,27 @@ impl Mesh {
             flat.triangles.push([base, base + 1, base + 2]);
         }
         *self = flat;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn meshes_are_misplaced_where_single_precision_is_coarse_beside_them() {
+        let triangle = |size: f32, away: Vec3| Mesh {
+            positions: [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| away + size * p).to_vec(),
+            ..Mesh::default()
+        };
+        let misplaced = |size, away| triangle(size, away).misplaced();
+        assert_eq!(misplaced(3.0, Vec3::ZERO), None);
+        assert_eq!(misplaced(300.0, Vec3::splat(-300.0)), None);
+        assert_eq!(misplaced(0.05, Vec3::ZERO), None);
+        let said = misplaced(3.0, Vec3::new(0.0, 10_000.0, 0.0)).unwrap();
+        assert!(said.contains("4.24 m large") && said.contains("10003 m from the origin"), "{said}");
+        assert!(misplaced(3.0, Vec3::new(0.0, 0.0, -10_000.0)).is_some());
+        // In kilometres, a room is a speck.
+        assert!(misplaced(0.003, Vec3::ZERO).is_some());
     }
 }

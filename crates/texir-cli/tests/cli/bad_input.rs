@@ -152,14 +152,14 @@ fn unknown_and_impossible_settings() {
 fn no_texels_and_no_samples() {
     let capture = Capture::new();
     let (input, out) = (capture.path(), capture.out("out.exr"));
-    for (command, option) in [("tbl", "--size"), ("bake", "--size"), ("bake", "--spp")] {
+    for (command, option) in [("tbl", "--size"), ("bake", "--size")] {
         let how = [option.as_ref(), "0".as_ref(), "-o".as_ref(), out.as_os_str(), "--backend".as_ref(), "cpu".as_ref()];
         let said = run(&[&[command.as_ref(), input.as_os_str()], &how[..]].concat());
         assert_eq!(said.code, Some(1), "{command} {option} 0: {said:#?}");
         said.complains(&[option, "at least 1"]);
         assert_eq!(capture.outputs(), [""; 0]);
     }
-    for command in ["render", "eval", "report"] {
+    for command in ["render", "eval", "report", "bake"] {
         let more = if command == "render" { &["--cameras", "cameras.json", "-o", "renders"][..] } else { &[] };
         let said = run(&[&[command, "out", "--spp", "0"], more].concat());
         assert_eq!(said.code, Some(2), "{command}: {said:#?}");
@@ -226,4 +226,58 @@ fn triangles_without_area() {
         _ => line.to_owned(),
     });
     repaired(&capture, &["mesh.obj", "2 of 26 triangles have no area", "left out"]);
+}
+
+/// The command fails, says so, and leaves the file as it is.
+#[track_caller]
+fn keeps(file: &std::path::Path, arguments: &[&OsStr], parts: &[&str]) {
+    let before = std::fs::read(file).unwrap();
+    let said = run(arguments);
+    assert_eq!(said.code, Some(1), "{said:#?}");
+    said.complains(parts);
+    assert!(std::fs::read(file).unwrap() == before, "{} was replaced", file.display());
+}
+
+#[test]
+fn outputs_that_would_replace_what_they_are_made_of() {
+    let capture = Capture::new();
+    let (input, image, images) = (capture.path(), capture.file("hdr/novel.exr"), capture.file("hdr"));
+    let (cameras, mesh) = (capture.file("transforms.json"), capture.file("mesh.obj"));
+    let [input, hdr, folder, of] = [&input, &image, &images, &cameras].map(|path| path.as_os_str());
+    let o = OsStr::new;
+    let replaced = ["novel.exr", "would replace what it is made of", "another name"];
+    keeps(&image, &[o("tbl"), input, o("-o"), hdr, o("--size"), o("16")], &replaced);
+    keeps(&image, &[o("bake"), input, o("-o"), hdr, o("--size"), o("16"), o("--spp"), o("4")], &replaced);
+    keeps(&image, &[o("hdr"), hdr, hdr, o("--times"), o("1,2"), o("-o"), hdr], &replaced);
+    let inside = ["in it, which the output is made of", "another folder"];
+    keeps(&image, &[o("inspect"), input, o("--overlay"), folder], &inside);
+    let fitting = fit(&capture.path(), &capture.path(), &["--backend", "cpu", "--no-eval"]);
+    keeps(&mesh, &fitting.iter().map(|argument| argument.as_os_str()).collect::<Vec<_>>(), &inside);
+
+    // Negative control: beside them is fine.
+    let out = capture.out("out");
+    succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--no-eval"]));
+    let render = [o("render"), out.as_os_str(), o("--cameras"), of, o("--spp"), o("1"), o("-o")];
+    keeps(&image, &[&render[..], &[folder]].concat(), &inside);
+    keeps(&out.join("scene.glb"), &[&render[..], &[out.as_os_str()]].concat(), &inside);
+    succeed(&[&render[..], &[capture.out("views").as_os_str()]].concat());
+}
+
+#[test]
+fn masks_that_leave_nothing() {
+    let capture = Capture::new();
+    let (width, height) = (WIDTH, HEIGHT);
+    let mask = capture.file("black.png");
+    write_png_labels(&mask, &Labels::new(width, height, vec![0; width * height]).unwrap()).unwrap();
+    let mut masked = |path: serde_json::Value| {
+        capture.edit(|document| {
+            for frame in document["frames"].as_array_mut().unwrap() {
+                frame["mask_path"] = path.clone();
+            }
+        });
+        succeed(&["inspect".as_ref(), capture.path().as_os_str()]).out
+    };
+    let said = masked("black.png".into());
+    assert!(said.contains("masks leave out 100 %") && said.contains("inverted"), "{said}");
+    assert!(!masked(Value::Null).contains("masks leave out"));
 }

@@ -114,3 +114,12 @@ fn metal_mirrors_in_its_own_colour() {
         assert!(difference(&plain, &expected) > 10.0 * off, "metallic {metallic}: {off}");
     }
 }
+
+#[test]
+fn bands_have_every_row_once_and_little_in_them() {
+    for (rows, items) in [(7, CHUNK / 3), (5, 2 * CHUNK), (1, 1), (1000, 4096), (3, 0)] {
+        let bands: Vec<Range<usize>> = bands(rows, items).collect();
+        assert!(bands.iter().cloned().flatten().eq(0..rows), "{bands:?}");
+        assert!(bands.iter().all(|band| band.len() == 1 || band.len() * items <= CHUNK), "{bands:?}");
+    }
+}

@@ -129,8 +129,11 @@ pub fn paint(
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec2;
+
     use super::*;
-    use crate::surface::SurfacePoint;
+    use crate::cpu::CpuBackend;
+    use crate::mesh::Mesh;
 
     const SIDE: usize = 40;
     const TEXEL: f32 = 0.05;
@@ -183,6 +186,42 @@ mod tests {
         // A surface that is hidden altogether stays unlabelled.
         let nothing: Vec<Option<u16>> = known.iter().zip(&surface).map(|(k, s)| k.filter(|_| *s == 1)).collect();
         assert_eq!(label(&atlas, &surface, &nothing, TEXEL)[0], None);
+    }
+
+    /// A block from z = 0 down, of this thickness, of which there are top and bottom; `flipped` turns the bottom inside.
+    fn slab(thickness: f32, flipped: bool) -> Scene {
+        let quad = |z: f32, up: bool, left: f32| {
+            let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+            let corners = if up { corners } else { [corners[0], corners[3], corners[2], corners[1]] };
+            let normal = if up { Vec3::Z } else { -Vec3::Z };
+            corners.map(|(x, y)| (Vec3::new(x, y, z), normal, Vec2::new(left + 0.4 * x, 0.8 * y)))
+        };
+        let corners = [quad(0.0, true, 0.05), quad(-thickness, flipped, 0.55)].concat();
+        Scene::new(Mesh {
+            positions: corners.iter().map(|c| c.0).collect(),
+            normals: corners.iter().map(|c| c.1).collect(),
+            uvs: corners.iter().map(|c| c.2).collect(),
+            triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+        })
+        .unwrap()
+    }
+
+    #[test]
+    fn thin_things_have_backs_and_thick_ones_have_none() {
+        let backs_of = |scene: &Scene| {
+            let atlas = Atlas::new(&mut CpuBackend::new(scene), scene, 40, 20).unwrap();
+            (backs(scene, &atlas), atlas)
+        };
+        let (found, atlas) = backs_of(&slab(0.04, false));
+        assert!(found.len() as f32 > 0.9 * atlas.points.len() as f32, "{} of {}", found.len(), atlas.points.len());
+        for [back, front] in found {
+            let [back, front] = [back, front].map(|t| atlas.points[t as usize]);
+            assert!(back.normal[2] == -front.normal[2]);
+            let aside = (Vec3::from(back.position) - Vec3::from(front.position)).truncate().length();
+            assert!(aside < 1.5 / 16.0, "{aside} m aside");
+        }
+        assert_eq!(backs_of(&slab(0.2, false)).0, [[0; 2]; 0], "what is thick");
+        assert_eq!(backs_of(&slab(0.04, true)).0, [[0; 2]; 0], "two sheets that face alike");
     }
 
     #[test]

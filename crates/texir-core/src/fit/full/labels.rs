@@ -335,6 +335,29 @@ mod tests {
     }
 
     #[test]
+    fn the_front_of_something_thin_outvotes_its_back_where_many_more_views_see_it() {
+        const DOOR: u16 = 4;
+        const WALL: u16 = 1;
+        // Texel 0 is the front, texel 1 the back.
+        let labels = |of_front: usize, of_back: usize, pairs: &[[u32; 2]]| {
+            let mut votes = Votes::default();
+            for view in 0..of_front.max(of_back) {
+                let sees = [(0, of_front), (1, of_back)]
+                    .map(|(pixel, views)| (view < views).then_some(Witness { pixel, weight: 1.0 }));
+                votes.add(&sees, |pixel| [DOOR, WALL][pixel]);
+            }
+            votes.share(pairs);
+            votes.count(&[0, 1])
+        };
+        let pairs = [[0, 1], [1, 0]];
+        assert_eq!(labels(5, 2, &pairs), [Some(DOOR); 2]);
+        assert_eq!(labels(5, 0, &pairs), [Some(DOOR); 2]);
+        // Negative controls: seen as often, and not thin.
+        assert_eq!(labels(3, 3, &pairs), [Some(DOOR), Some(WALL)]);
+        assert_eq!(labels(5, 2, &[]), [Some(DOOR), Some(WALL)]);
+    }
+
+    #[test]
     fn views_that_are_wrong_on_a_tenth_of_their_pixels_outvote_each_other() {
         let scene = Scene::new(room()).unwrap();
         let mut backend = CpuBackend::new(&scene);

@@ -163,17 +163,9 @@ fn recover(
     let model: Vec<u32> = segments.segment.iter().map(|s| models[*s as usize]).collect();
     hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
     let roughness = with_joints(&roughness);
-    // What the images show stays what they show: irradiance takes what albedo gives up, even all of a black outlier's. What metal
-    // shows does not depend on it.
-    const MOST: Vec3A = Vec3A::splat(10.0);
-    let corrected: Vec<[f32; 3]> = (0..painted.len())
-        .into_par_iter()
-        .map(|t| {
-            let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(MOST.recip(), MOST);
-            let takes = seen.is_seen[t] && problem.metal.get(t) != Some(&true);
-            (irradiance[t] * if takes { given_up } else { Vec3A::ONE }).to_array()
-        })
-        .collect();
+    // What metal shows does not depend on irradiance.
+    let depends = |t: usize| seen.is_seen[t] && problem.metal.get(t) != Some(&true);
+    let corrected = with_what_albedo_gives_up(irradiance, (&albedo, &painted), depends);
     let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
     let all = vec![true; painted.len()];
     let confidence = confidence::confidence(&surface, &blocks, &evidence.by_segment(), &roughness);
@@ -187,6 +179,21 @@ fn recover(
         masking: settings.masking,
         confidence: Some(atlas.scatter_padded(&confidence, &all, 0.0, bake::PADDING)),
     })
+}
+
+/// Irradiance by which what the images show stays what they show when the albedo that they ask for is `painted` otherwise, at the texels
+/// of which that `depends` on it: it takes what albedo gives up, even all of a black outlier's.
+fn with_what_albedo_gives_up(
+    irradiance: &[Vec3A],
+    (albedo, painted): (&[Vec3A], &[Vec3A]),
+    depends: impl Fn(usize) -> bool + Sync,
+) -> Vec<[f32; 3]> {
+    const MOST: Vec3A = Vec3A::splat(10.0);
+    let of_texel = |t: usize| {
+        let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(MOST.recip(), MOST);
+        (irradiance[t] * if depends(t) { given_up } else { Vec3A::ONE }).to_array()
+    };
+    (0..irradiance.len()).into_par_iter().map(of_texel).collect()
 }
 
 /// What the scan found under one diffuse model.

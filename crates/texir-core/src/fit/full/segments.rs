@@ -181,6 +181,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn unseen_segments_are_painted_after_their_kind_in_their_room_first() {
+        // Class and room: a known chair, a hidden one beside it, one in another room, a larger known one there, a lamp.
+        let segments = Segments {
+            segment: vec![0, 0, 1, 2, 3, 3, 3, 4],
+            face: vec![0; 8],
+            class: vec![1, 1, 1, 1, 2],
+            class_in_room: vec![0, 0, 1, 2, 3],
+        };
+        let hidden = [2, 3, 7];
+        assert_eq!(segments.models(|t| !hidden.contains(&t)), [0, 0, 3, 3, 4]);
+        assert_eq!(segments.models(|_| true), [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
     fn faces_end_at_creases_and_where_segments_do_and_small_ones_are_one() {
         let (atlas, adjacency) = floor_and_wall();
         let surface = hidden::flat_surfaces(&atlas, &adjacency);

@@ -453,3 +453,17 @@ fn texels_that_no_pixel_sees_take_their_neighbours_label() {
     let (segments, count) = connected(10, &strip(10), &[], |a, b| labels[a as usize] == labels[b as usize]);
     assert_eq!((segments[0], segments[9], count), (0, 1, 2));
 }
+
+#[test]
+fn irradiance_takes_what_albedo_gives_up_but_not_of_metal() {
+    let irradiance = [Vec3A::splat(2.0); 3];
+    let albedo = [Vec3A::new(0.3, 0.6, 0.5); 3];
+    let painted = [Vec3A::new(0.6, 0.6, 0.25), Vec3A::new(0.6, 0.6, 0.25), Vec3A::ZERO];
+    let metal = [false, true, false];
+    let found = super::with_what_albedo_gives_up(&irradiance, (&albedo, &painted), |t| !metal[t]);
+    for c in 0..3 {
+        assert!((found[0][c] * painted[0][c] - irradiance[0][c] * albedo[0][c]).abs() < 1e-6, "{found:?}");
+    }
+    assert_eq!(found[1], [2.0; 3]);
+    assert_eq!(found[2], [20.0; 3], "at most ten times");
+}
