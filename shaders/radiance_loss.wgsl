@@ -1,13 +1,14 @@
-// Image loss Σ w |T(rendered) − T(target)| / (3 Σw), T(x) = ln(1+x), and its gradient (method section 3).
+// Image loss: the mean of |T(rendered) − T(target)| over pixels and channels, T(x) = ln(1+x), and its gradient (method
+// section 3).
 //
 // One thread per pixel for the gradient; a workgroup adds its pixels' losses in a fixed tree (a barrier per level) and
-// leaves one number, which the host adds up in order. Reads 28 and writes 12 bytes per pixel.
+// leaves one number, which the host adds up in order. Reads 24 and writes 12 bytes per pixel.
 
 #import math
 
 struct RadianceLossParams {
     count: u32,
-    // 1 / (3 Σw).
+    // 1 / (3 count).
     share: f32,
 }
 
@@ -15,10 +16,9 @@ struct RadianceLossParams {
 // Three numbers per pixel.
 @group(1) @binding(1) var<storage, read> rendered: array<f32>;
 @group(1) @binding(2) var<storage, read> target_radiance: array<f32>;
-@group(1) @binding(3) var<storage, read> weights: array<f32>;
-@group(1) @binding(4) var<storage, read_write> d_rendered: array<f32>;
+@group(1) @binding(3) var<storage, read_write> d_rendered: array<f32>;
 // One per workgroup.
-@group(1) @binding(5) var<storage, read_write> losses: array<f32>;
+@group(1) @binding(4) var<storage, read_write> losses: array<f32>;
 
 var<workgroup> lane_sums: array<f32, 64>;
 
@@ -32,13 +32,12 @@ fn radiance_loss(
     let i = group * 64u + thread;
     var loss = 0.0;
     if i < params.count {
-        let share = weights[i] * params.share;
         for (var k = 3u * i; k < 3u * i + 3u; k++) {
             let a = rendered[k];
             let b = target_radiance[k];
             // T rises, so that the difference of T has the sign of a − b, free of the logarithm's rounding.
-            loss += abs(log((1.0 + a) / (1.0 + b))) * share;
-            d_rendered[k] = sign(a - b) * share / (1.0 + a);
+            loss += abs(log((1.0 + a) / (1.0 + b))) * params.share;
+            d_rendered[k] = sign(a - b) * params.share / (1.0 + a);
         }
     }
     lane_sums[thread] = loss;

@@ -4,7 +4,9 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient, Sampling, Sequences, ShadePoint};
+use texir_core::backend::{
+    Backend, Gather, Gathered, GroupTarget, Groups, Material, RoughnessGradient, Sampling, Sequences, ShadePoint,
+};
 use texir_core::brdf::{fresnel_weight, masking};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
@@ -14,6 +16,7 @@ use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
 use texir_core::scene::Scene;
 use texir_core::surface::{Hit, SurfacePoint};
+use texir_core::texture::{Pyramid, Rows, Tap};
 use texir_gpu::{GatherShape, Gpu, GpuBackend, Hierarchy};
 use texir_tests::compare::{Tolerance, lanes3};
 use texir_tests::{gpu, scenes};
@@ -269,35 +272,59 @@ fn empty_work_gives_empty_results() {
     assert!(backend.shade(&[], &[], sampling, RoughnessGradient::Exact, &Silent).unwrap().is_empty());
     assert!(backend.shade_vjp(&[], &[], &[], &[]).unwrap().is_empty());
     assert!(backend.project(&[], &scenes::cameras()[0]).unwrap().is_empty());
-    assert!(backend.radiance_loss(&[], &[], &[]).unwrap().gradient.is_empty());
+    assert!(backend.radiance_loss(&[], &[]).unwrap().gradient.is_empty());
     assert!(backend.texels([0, 5], 0..5).unwrap().is_empty());
+}
+
+/// What no backend may do: nothing, or fail without a word.
+fn misused(backend: &mut dyn Backend, scene: &Scene) {
+    let points = points(scene, 2);
+    let one = Gather::new(1, 0, 0);
+    let unlit = backend.irradiance(&points, one, &Silent).unwrap_err().to_string();
+    assert!(unlit.contains("lighting"), "{unlit}");
+    let dark = Lights::none(&scene.mesh);
+    let empty = backend.set_tbl(&Rgb::filled(0, 0, [0.0; 3]), &dark).unwrap_err().to_string();
+    assert!(empty.contains("no texels"), "{empty}");
+    backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
+    let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
+    assert!(none.contains("samples"), "{none}");
+    let foreign = Lights { density: vec![LightDensity::default(); 3], ..dark };
+    let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
+    assert!(foreign.contains("another mesh"), "{foreign}");
+    let (pixels, materials) = shading(&points);
+    let (sampling, exact) = (Sampling { samples: 1, seed: 0 }, RoughnessGradient::Exact);
+    let few = backend.shade(&pixels, &materials[1..], sampling, exact, &Silent).unwrap_err().to_string();
+    assert!(few.contains("materials"), "{few}");
+    let shaded = backend.shade(&pixels, &materials, sampling, exact, &Silent).unwrap();
+    let few = backend.shade_vjp(&pixels, &materials, &shaded, &[[0.0; 3]]).unwrap_err().to_string();
+    assert!(few.contains("cotangents"), "{few}");
+    let few = backend.radiance_loss(&[[1.0; 3]], &[]).unwrap_err().to_string();
+    assert!(few.contains("target"), "{few}");
+    let strange = Groups { offsets: vec![0, 1], members: vec![7], references: vec![1] };
+    let strange = backend.group_loss(&[0.0; 4], 1, &strange, GroupTarget::Mean).unwrap_err().to_string();
+    assert!(strange.contains("pixel 7"), "{strange}");
+    let pyramid = Pyramid::new(2, 2, &[true; 4]);
+    let beyond = Rows { offsets: vec![0, 1], taps: vec![Tap { texel: 9, weight: 1.0 }] };
+    let small = backend.lookup(&pyramid, &[0.0; 3], 1, &beyond).unwrap_err().to_string();
+    assert!(small.contains("texture of lookup"), "{small}");
+    let beyond = backend.lookup(&pyramid, &[0.0; 4], 1, &beyond).unwrap_err().to_string();
+    assert!(beyond.contains("texel 9"), "{beyond}");
+    assert!(backend.irradiance(&points, one, &Silent).is_ok());
 }
 
 #[test]
 fn misuse_is_an_error() {
     let scene = room();
     let gpu = gpu();
+    misused(&mut CpuBackend::new(&scene), &scene);
     let mut backend = GpuBackend::new(&gpu, &scene).unwrap();
-    let points = points(&scene, 2);
-    let one = Gather::new(1, 0, 0);
-    let unlit = backend.irradiance(&points, one, &Silent).unwrap_err().to_string();
-    assert!(unlit.contains("lighting"), "{unlit}");
-    let dark = Lights::none(&scene.mesh);
-    backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
-    let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
-    assert!(none.contains("samples"), "{none}");
-    let foreign = Lights { density: vec![LightDensity::default(); 3], ..dark.clone() };
-    let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
-    assert!(foreign.contains("another mesh"), "{foreign}");
-    let (pixels, materials) = shading(&points);
-    let few =
-        backend.shade(&pixels, &materials[1..], Sampling { samples: 1, seed: 0 }, RoughnessGradient::Exact, &Silent);
-    assert!(few.unwrap_err().to_string().contains("materials"));
+    misused(&mut backend, &scene);
     // Larger than the device binds or makes: an error with the figures, not a lost device.
+    let (points, dark) = (points(&scene, 2), Lights::none(&scene.mesh));
     let limit = gpu.device().limits().max_texture_dimension_2d as usize;
     let wide = backend.set_tbl(&Rgb::filled(limit + 1, 1, [1.0; 3]), &dark).unwrap_err().to_string();
     assert!(wide.contains(&format!("{limit} × {limit}")), "{wide}");
-    assert!(backend.irradiance(&points, one, &Silent).is_ok());
+    assert!(backend.irradiance(&points, Gather::new(1, 0, 0), &Silent).is_ok());
     let unknown = Gpu::headless(Some("no such adapter")).err().unwrap().to_string();
     assert!(unknown.contains("no such adapter"), "{unknown}");
 }

@@ -4,6 +4,8 @@
 //! slices, so that an algorithm reads as its equations. Two implementations: [`crate::cpu::CpuBackend`] and the WGSL one in
 //! `texir-gpu`.
 
+pub mod check;
+
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
@@ -341,8 +343,8 @@ pub trait Backend {
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>>;
 
-    /// Image loss: the weighted mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x).
-    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>>;
+    /// Image loss: the mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x); 0 without pixels.
+    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<Loss<[f32; 3]>>;
 
     /// Mean of |value − target(group)| over the pixels of all groups and over channels; `values` holds `channels` numbers
     /// per pixel. A class counts by its pixels, so that the term keeps its balance with the image loss, which is a mean

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
-    Sampling, ShadePoint, Shaded,
+    Sampling, ShadePoint, Shaded, check,
 };
 use texir_core::camera::Camera;
 use texir_core::denoise::Noisy;
@@ -56,24 +56,13 @@ impl<'a> GpuBackend<'a> {
         Ok(())
     }
 
-    fn shape_for(&self, samples: u32) -> Result<GatherShape> {
-        if samples == 0 {
-            return Err(Error::invalid("the number of samples is 0: at least one is needed"));
-        }
-        Ok(self.shape.unwrap_or(GatherShape::for_samples(samples)))
+    fn shape_for(&self, samples: u32) -> GatherShape {
+        self.shape.unwrap_or(GatherShape::for_samples(samples))
     }
 }
 
 fn lighting_of(lighting: &Option<Lighting>) -> Result<&Lighting> {
     lighting.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))
-}
-
-/// Checks that a slice has as many items as expected.
-fn sized(what: &str, found: usize, expected: usize) -> Result<()> {
-    if found == expected {
-        return Ok(());
-    }
-    Err(Error::invalid(format!("{what}: {found} values where {expected} are expected")))
 }
 
 /// Checks that items can be counted in 32 bits.
@@ -90,6 +79,7 @@ impl Backend for GpuBackend<'_> {
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
+        check::tbl(&self.scene.mesh, radiance, lights)?;
         let gpu = &self.context.gpu;
         let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, self.scene, radiance, lights))?;
         self.lighting = Some(lighting);
@@ -123,7 +113,8 @@ impl Backend for GpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
         countable(points.len())?;
-        let shape = self.shape_for(gather.cosine)?;
+        check::irradiance(gather)?;
+        let shape = self.shape_for(gather.cosine);
         let light = (&self.geometry, lighting_of(&self.lighting)?);
         let gpu = self.context.gpu.clone();
         gpu.guarded("irradiance", || irradiance::run(&mut self.context, light, points, gather, shape, progress))
@@ -162,8 +153,8 @@ impl Backend for GpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<Shaded>> {
         countable(points.len())?;
-        sized("materials to shade", materials.len(), points.len())?;
-        let shape = self.shape_for(sampling.samples)?;
+        check::shade(points, materials, sampling)?;
+        let shape = self.shape_for(sampling.samples);
         let light = (&self.geometry, lighting_of(&self.lighting)?);
         let (items, how) = ((points, materials), (sampling, gradient));
         let gpu = self.context.gpu.clone();
@@ -178,9 +169,7 @@ impl Backend for GpuBackend<'_> {
         d_radiance: &[[f32; 3]],
     ) -> Result<Vec<MaterialGrad>> {
         countable(points.len())?;
-        sized("materials of shade_vjp", materials.len(), points.len())?;
-        sized("shaded pixels of shade_vjp", shaded.len(), points.len())?;
-        sized("cotangents of shade_vjp", d_radiance.len(), points.len())?;
+        check::shade_vjp(points, materials, shaded, d_radiance)?;
         let gpu = self.context.gpu.clone();
         gpu.guarded("shade_vjp", || shade_vjp::run(&mut self.context, points, materials, shaded, d_radiance))
     }
@@ -200,12 +189,11 @@ impl Backend for GpuBackend<'_> {
         })
     }
 
-    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {
+    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<Loss<[f32; 3]>> {
         countable(rendered.len())?;
-        sized("target of radiance_loss", target.len(), rendered.len())?;
-        sized("weights of radiance_loss", weight.len(), rendered.len())?;
+        check::radiance_loss(rendered, target)?;
         let gpu = self.context.gpu.clone();
-        gpu.guarded("radiance_loss", || radiance_loss::run(&mut self.context, rendered, target, weight))
+        gpu.guarded("radiance_loss", || radiance_loss::run(&mut self.context, rendered, target))
     }
 
     fn group_loss(
@@ -216,7 +204,7 @@ impl Backend for GpuBackend<'_> {
         target: GroupTarget,
     ) -> Result<Loss<f32>> {
         countable(values.len())?;
-        groups_fit(groups, values.len() / channels.max(1))?;
+        check::group_loss(values, channels, groups)?;
         if groups.references.is_empty() || channels == 0 {
             return Ok(Loss { value: 0.0, gradient: vec![0.0; values.len()] });
         }
@@ -225,7 +213,7 @@ impl Backend for GpuBackend<'_> {
     }
 
     fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
-        sized("texture of lookup", texture.len(), atlas_len(pyramid) * channels)?;
+        check::lookup(pyramid, texture, channels, footprints)?;
         countable(pyramid.len() * channels)?;
         let gpu = self.context.gpu.clone();
         gpu.guarded("lookup", || {
@@ -240,33 +228,11 @@ impl Backend for GpuBackend<'_> {
         channels: usize,
         footprints: &Footprints,
     ) -> Result<Vec<f32>> {
-        sized("cotangents of lookup_vjp", d_values.len(), footprints.len() * channels)?;
+        check::lookup_vjp(pyramid, d_values, channels, footprints)?;
         countable(pyramid.len() * channels)?;
         let gpu = self.context.gpu.clone();
         gpu.guarded("lookup_vjp", || {
             lookup::run_vjp(&mut self.context, &mut self.cache, pyramid, d_values, channels, footprints)
         })
-    }
-}
-
-/// Texels of the finest level.
-fn atlas_len(pyramid: &Pyramid) -> usize {
-    pyramid.levels.first().map_or(0, |l| l.width * l.height)
-}
-
-/// Checks that groups are consistent and refer to pixels that exist.
-fn groups_fit(groups: &Groups, pixels: usize) -> Result<()> {
-    sized("offsets of groups", groups.offsets.len(), groups.references.len() + 1)?;
-    let ascending =
-        groups.offsets.is_sorted() && groups.offsets.last().is_some_and(|&n| n as usize == groups.members.len());
-    let counts = groups.offsets.windows(2).map(|w| w[1].saturating_sub(w[0]));
-    if !ascending || counts.zip(&groups.references).any(|(count, &references)| references > count) {
-        return Err(Error::invalid("groups: offsets must ascend to the number of members, references must be members"));
-    }
-    match groups.members.iter().find(|&&m| m as usize >= pixels) {
-        Some(member) => {
-            Err(Error::invalid(format!("groups: pixel {member} of a group, but there are {pixels} pixels")))
-        }
-        None => Ok(()),
     }
 }

@@ -170,13 +170,6 @@ impl Lighting {
     pub fn new(gpu: &Gpu, scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<Self> {
         let order = &scene.bvh.primitive_indices;
         let triangles = scene.mesh.triangles.len();
-        let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
-        if lights.density.len() != triangles || !known {
-            return Err(Error::invalid(format!(
-                "the lights are those of another mesh: {} densities, {triangles} triangles",
-                lights.density.len()
-            )));
-        }
         let mut primitive_of = vec![0; triangles];
         for (primitive, &triangle) in order.iter().enumerate() {
             primitive_of[triangle as usize] = primitive as u32;

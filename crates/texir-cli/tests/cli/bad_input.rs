@@ -269,7 +269,7 @@ fn masks_that_leave_nothing() {
     let (width, height) = (WIDTH, HEIGHT);
     let mask = capture.file("black.png");
     write_png_labels(&mask, &Labels::new(width, height, vec![0; width * height]).unwrap()).unwrap();
-    let mut masked = |path: serde_json::Value| {
+    let masked = |path: serde_json::Value| {
         capture.edit(|document| {
             for frame in document["frames"].as_array_mut().unwrap() {
                 frame["mask_path"] = path.clone();

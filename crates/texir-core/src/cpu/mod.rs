@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 use crate::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
-    Sampling, ShadePoint, Shaded,
+    Sampling, ShadePoint, Shaded, check,
 };
 use crate::camera::Camera;
 use crate::denoise::Noisy;
@@ -101,6 +101,7 @@ impl Backend for CpuBackend<'_> {
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
+        check::tbl(&self.scene.mesh, radiance, lights)?;
         self.tbl = Some((radiance.clone(), lights.clone()));
         Ok(())
     }
@@ -139,6 +140,7 @@ impl Backend for CpuBackend<'_> {
         gather: Gather,
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
+        check::irradiance(gather)?;
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |_, point| {
             irradiance::irradiance::<f32, _>(&lighting, lights, point, gather)
@@ -174,6 +176,7 @@ impl Backend for CpuBackend<'_> {
         gradient: RoughnessGradient,
         progress: &dyn Progress,
     ) -> Result<Vec<Shaded>> {
+        check::shade(points, materials, sampling)?;
         let (lighting, _) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
             let s = shade::shade(&lighting, point, &MaterialIn::from(&materials[i]), sampling, gradient);
@@ -195,6 +198,7 @@ impl Backend for CpuBackend<'_> {
         shaded: &[Shaded],
         d_radiance: &[[f32; 3]],
     ) -> Result<Vec<MaterialGrad>> {
+        check::shade_vjp(points, materials, shaded, d_radiance)?;
         let grad = |i: usize| {
             let jacobian = ShadedIn {
                 radiance: V3(shaded[i].radiance),
@@ -220,12 +224,13 @@ impl Backend for CpuBackend<'_> {
         })
     }
 
-    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]], weight: &[f32]) -> Result<Loss<[f32; 3]>> {
-        let total = 3.0 * weight.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+    fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<Loss<[f32; 3]>> {
+        check::radiance_loss(rendered, target)?;
+        let share = (1.0 / (3.0 * rendered.len() as f64)) as f32;
         let mut value = 0.0;
         let gradient = (0..rendered.len())
             .map(|i| {
-                let (loss, d) = radiance_loss::radiance_loss(V3(rendered[i]), V3(target[i]), weight[i] / total);
+                let (loss, d) = radiance_loss::radiance_loss(V3(rendered[i]), V3(target[i]), share);
                 value += f64::from(loss);
                 d.0
             })
@@ -240,12 +245,14 @@ impl Backend for CpuBackend<'_> {
         groups: &Groups,
         target: GroupTarget,
     ) -> Result<Loss<f32>> {
+        check::group_loss(values, channels, groups)?;
         let mut gradient = vec![0.0; values.len()];
         let value = group_loss::group_loss(values, channels, groups, target, &mut gradient);
         Ok(Loss { value, gradient })
     }
 
     fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
+        check::lookup(pyramid, texture, channels, footprints)?;
         Ok(lookup::lookup(pyramid, texture, channels, footprints))
     }
 
@@ -256,6 +263,7 @@ impl Backend for CpuBackend<'_> {
         channels: usize,
         footprints: &Footprints,
     ) -> Result<Vec<f32>> {
+        check::lookup_vjp(pyramid, d_values, channels, footprints)?;
         Ok(lookup::lookup_vjp(pyramid, d_values, channels, footprints))
     }
 }

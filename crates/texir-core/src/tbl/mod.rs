@@ -83,8 +83,11 @@ impl TblOptions {
 /// Pixels' worth of a triangle that must be shown dark for it to be known as no source: of the back of a lampshade, pixels at
 /// the rim may show a hundredth, and be mistaken in it.
 const EVIDENT: f32 = 0.05;
-/// Texels that are worked on at a time: 80 MB of observations.
+/// Texels that are worked on at a time, at least: 80 MB of observations. All images are read again for each such band, so that a
+/// band may take as much memory as the largest image with what its pixels show.
 const BAND: usize = 1 << 18;
+/// The observations of a texel are as large as so many pixels of an image with what they show.
+const PIXELS_PER_TEXEL: usize = 8;
 
 /// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance and
 /// whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
@@ -203,7 +206,8 @@ impl Fusion<'_> {
         let Self { scene, atlas, cameras, options, progress } = *self;
         let mut blended = Vec::with_capacity(points.len());
         progress.start("texture-based lighting", (points.len() * cameras.len()) as u64, "texels");
-        for points in points.chunks(BAND) {
+        let largest = cameras.iter().map(Camera::pixels).max().unwrap_or(0);
+        for points in points.chunks(BAND.max(largest / PIXELS_PER_TEXEL)) {
             let mut best = vec![Best::default(); points.len()];
             for (i, camera) in cameras.iter().enumerate() {
                 progress.check()?;

@@ -15,21 +15,14 @@ pub(crate) struct RadianceLossParams {
 }
 
 /// See [`texir_core::backend::Backend::radiance_loss`].
-pub(crate) fn run(
-    ctx: &mut Context,
-    rendered: &[[f32; 3]],
-    target: &[[f32; 3]],
-    weight: &[f32],
-) -> Result<Loss<[f32; 3]>> {
+pub(crate) fn run(ctx: &mut Context, rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<Loss<[f32; 3]>> {
     let kernel = ctx.kernel("radiance_loss", "radiance_loss", None)?;
     let (count, workgroups) = (rendered.len(), rendered.len().div_ceil(WORKGROUP));
-    let total: f64 = weight.iter().copied().map(f64::from).sum();
-    let share = if total > 0.0 { (1.0 / (3.0 * total)) as f32 } else { 0.0 };
+    let share = (1.0 / (3.0 * count as f64)) as f32;
     let params = ctx.params(&RadianceLossParams { count: count as u32, share });
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
     let rendered = pool.upload(gpu, "rendered", rendered)?;
     let target = pool.upload(gpu, "target radiance", target)?;
-    let weights = pool.upload(gpu, "weights", weight)?;
     let d_rendered = pool.reserve(gpu, "d_radiance", (count * size_of::<[f32; 3]>()) as u64)?;
     let losses = pool.reserve(gpu, "losses", (workgroups * size_of::<f32>()) as u64)?;
     let groups = kernel.bind(
@@ -38,7 +31,6 @@ pub(crate) fn run(
             ("params", params.binding()),
             ("rendered", rendered.binding()),
             ("target_radiance", target.binding()),
-            ("weights", weights.binding()),
             ("d_rendered", d_rendered.binding()),
             ("losses", losses.binding()),
         ],

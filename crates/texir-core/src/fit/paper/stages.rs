@@ -108,7 +108,7 @@ impl<'a> Optimisation<'a> {
         let diffuse = |p: &ShadePoint| p.irradiance.map(|e| e * std::f32::consts::FRAC_1_PI);
         let rendered: Vec<[f32; 3]> =
             points.iter().zip(albedo.as_chunks::<3>().0).map(|(p, a)| product(diffuse(p), *a)).collect();
-        let image = self.backend.radiance_loss(&rendered, &view.target, &view.weight)?;
+        let image = self.backend.radiance_loss(&rendered, &view.target)?;
         let mut d_albedo: Vec<f32> =
             points.iter().zip(&image.gradient).flat_map(|(p, d)| product(diffuse(p), *d)).collect();
         let smooth = self.smoothness(
@@ -132,10 +132,9 @@ impl<'a> Optimisation<'a> {
             let at = |h: &u32| *h as usize;
             let points: Vec<ShadePoint> = view.highlights.iter().map(|h| view.points[at(h)]).collect();
             let target: Vec<[f32; 3]> = view.highlights.iter().map(|h| view.target[at(h)]).collect();
-            let weight: Vec<f32> = view.highlights.iter().map(|h| view.weight[at(h)]).collect();
             let materials: Vec<Material> =
                 view.highlights.iter().zip(albedo).map(|(h, a)| Material::dielectric(*a, roughness[at(h)])).collect();
-            let loss = self.shaded_loss(&points, &materials, &target, &weight, seed)?;
+            let loss = self.shaded_loss(&points, &materials, &target, seed)?;
             image = loss.value;
             for (h, d) in view.highlights.iter().zip(loss.gradient) {
                 d_roughness[at(h)] = d.roughness;
@@ -158,7 +157,7 @@ impl<'a> Optimisation<'a> {
         let roughness = self.lookup(&textures.roughness, 1, view)?;
         let materials: Vec<Material> =
             albedo.as_chunks::<3>().0.iter().zip(&roughness).map(|(a, r)| Material::dielectric(*a, *r)).collect();
-        let loss = self.shaded_loss(&view.points, &materials, &view.target, &view.weight, seed)?;
+        let loss = self.shaded_loss(&view.points, &materials, &view.target, seed)?;
         let d_albedo: Vec<f32> = loss.gradient.iter().flat_map(|d| d.albedo).collect();
         let mut d_roughness: Vec<f32> = loss.gradient.iter().map(|d| d.roughness).collect();
         let smooth = self.smoothness(
@@ -181,14 +180,13 @@ impl<'a> Optimisation<'a> {
         points: &[ShadePoint],
         materials: &[Material],
         target: &[[f32; 3]],
-        weight: &[f32],
         seed: u32,
     ) -> Result<Loss<MaterialGrad>> {
         let sampling = Sampling { samples: self.settings.specular_samples, seed };
         let points = &*self.lit(points, seed)?;
         let shaded = self.backend.shade(points, materials, sampling, self.settings.gradient, &Silent)?;
         let radiance: Vec<[f32; 3]> = shaded.iter().map(|s| s.radiance).collect();
-        let loss = self.backend.radiance_loss(&radiance, target, weight)?;
+        let loss = self.backend.radiance_loss(&radiance, target)?;
         let gradient = self.backend.shade_vjp(points, materials, &shaded, &loss.gradient)?;
         Ok(Loss { value: loss.value, gradient })
     }

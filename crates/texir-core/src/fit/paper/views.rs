@@ -27,8 +27,6 @@ pub struct FitView {
     pub points: Vec<ShadePoint>,
     /// Observed radiance.
     pub target: Vec<[f32; 3]>,
-    /// Weight in the image loss: 1 each.
-    pub weight: Vec<f32>,
     /// Texels seen.
     pub footprints: Footprints,
     /// Pixels by semantic class.
@@ -109,7 +107,6 @@ impl Surroundings<'_> {
         Ok(FitView {
             name: view.name.clone(),
             target: used.iter().map(|&i| image.data[i as usize]).collect(),
-            weight: vec![1.0; used.len()],
             by_class: group(class_of, &none),
             by_class_highlights: group(class_of, &is_highlight),
             by_class_and_room: group(|i| (class_of(i), room_of(i)), &none),

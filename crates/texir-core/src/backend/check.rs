@@ -1,0 +1,109 @@
+//! Checks of what passes are given. Every backend makes them, so that misuse is the same error with each.
+
+use super::{Gather, Groups, Material, Sampling, ShadePoint, Shaded};
+use crate::error::{Error, Result};
+use crate::lights::Lights;
+use crate::mesh::Mesh;
+use crate::raster::Rgb;
+use crate::texture::{Footprints, Pyramid, Rows};
+
+/// That a slice has as many items as expected.
+fn sized(what: &str, found: usize, expected: usize) -> Result<()> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("{what}: {found} values where {expected} are expected")))
+}
+
+fn drawn(samples: u32) -> Result<()> {
+    if samples > 0 { Ok(()) } else { Err(Error::invalid("the number of samples is 0: at least one is needed")) }
+}
+
+/// That the texture-based lighting has texels, and that its lights are those of the mesh.
+pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
+    if radiance.data.is_empty() {
+        return Err(Error::invalid("the texture-based lighting has no texels: expected at least 1×1"));
+    }
+    let triangles = mesh.triangles.len();
+    let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
+    if lights.density.len() == triangles && known {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "the lights are those of another mesh: {} densities, {triangles} triangles",
+        lights.density.len()
+    )))
+}
+
+/// That irradiance is gathered by some cosine samples: [`super::Gathered::back_faces`] is their share.
+pub fn irradiance(gather: Gather) -> Result<()> {
+    drawn(gather.cosine)
+}
+
+/// That every point has a material.
+pub fn shade(points: &[ShadePoint], materials: &[Material], sampling: Sampling) -> Result<()> {
+    sized("materials to shade", materials.len(), points.len())?;
+    drawn(sampling.samples)
+}
+
+/// That every point has a material, what shading left of it, and a cotangent.
+pub fn shade_vjp(
+    points: &[ShadePoint],
+    materials: &[Material],
+    shaded: &[Shaded],
+    d_radiance: &[[f32; 3]],
+) -> Result<()> {
+    sized("materials of shade_vjp", materials.len(), points.len())?;
+    sized("shaded pixels of shade_vjp", shaded.len(), points.len())?;
+    sized("cotangents of shade_vjp", d_radiance.len(), points.len())
+}
+
+/// That every pixel has a target.
+pub fn radiance_loss(rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<()> {
+    sized("target of radiance_loss", target.len(), rendered.len())
+}
+
+/// That groups are consistent and refer to pixels that exist.
+pub fn group_loss(values: &[f32], channels: usize, groups: &Groups) -> Result<()> {
+    let pixels = values.len() / channels.max(1);
+    sized("offsets of groups", groups.offsets.len(), groups.references.len() + 1)?;
+    let ascending =
+        groups.offsets.is_sorted() && groups.offsets.last().is_some_and(|&n| n as usize == groups.members.len());
+    let counts = groups.offsets.windows(2).map(|w| w[1].saturating_sub(w[0]));
+    if !ascending || counts.zip(&groups.references).any(|(count, &references)| references > count) {
+        return Err(Error::invalid("groups: offsets must ascend to the number of members, references must be members"));
+    }
+    match groups.members.iter().find(|&&m| m as usize >= pixels) {
+        Some(member) => {
+            Err(Error::invalid(format!("groups: pixel {member} of a group, but there are {pixels} pixels")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// That the texture has the size of the pyramid's finest level, and that footprints lie in the pyramid.
+pub fn lookup(pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<()> {
+    sized("texture of lookup", texture.len(), texels(pyramid) * channels)?;
+    within(pyramid, footprints.taps.iter().map(|tap| tap.texel))
+}
+
+/// That every footprint has a cotangent, and that footprints lie in the pyramid.
+pub fn lookup_vjp(pyramid: &Pyramid, d_values: &[f32], channels: usize, footprints: &Footprints) -> Result<()> {
+    sized("cotangents of lookup_vjp", d_values.len(), footprints.len() * channels)?;
+    within(pyramid, footprints.touched.iter().copied())
+}
+
+/// Texels of the finest level.
+fn texels(pyramid: &Pyramid) -> usize {
+    pyramid.levels.first().map_or(0, |level| level.width * level.height)
+}
+
+fn within(pyramid: &Pyramid, touched: impl Iterator<Item = u32>) -> Result<()> {
+    match touched.max().filter(|last| *last as usize >= pyramid.len()) {
+        Some(last) => Err(Error::invalid(format!(
+            "footprints: texel {last} of a pyramid of {} texels; expected footprints of this atlas",
+            pyramid.len()
+        ))),
+        None => Ok(()),
+    }
+}
