@@ -54,7 +54,7 @@ pub enum Up {
 pub fn write_glb(path: impl AsRef<Path>, mesh: &Mesh, materials: &Materials, up: Up) -> Result<()> {
     let path = path.as_ref();
     let mut builder = Builder::default();
-    let primitive = builder.primitive(mesh, &mesh.uvs);
+    let primitive = builder.primitive(mesh, &mesh.uvs, &[]);
     let material = builder.material(path, materials)?;
     builder.finish_scene(Primitive { material: Some(material), ..primitive }, up);
     builder.write(path)
@@ -68,8 +68,8 @@ pub(crate) struct Builder {
 }
 
 impl Builder {
-    /// A mesh whose own coordinates are TEXCOORD_1, the lightmap's, and `base` TEXCOORD_0.
-    pub fn primitive(&mut self, mesh: &Mesh, base: &[Vec2]) -> Primitive {
+    /// A mesh whose own coordinates are TEXCOORD_1, the lightmap's, and `base` TEXCOORD_0; `further` sets come after them.
+    pub fn primitive(&mut self, mesh: &Mesh, base: &[Vec2], further: &[Vec<Vec2>]) -> Primitive {
         let (low, high) = mesh.bounds();
         let positions = self.accessor("position", ComponentType::F32, Type::Vec3, &mesh.positions);
         let bounded = &mut self.root.accessors[positions.value()];
@@ -82,15 +82,14 @@ impl Builder {
         let lightmap = self.accessor::<Vec2>("atlas", ComponentType::F32, Type::Vec2, &mesh.uvs);
         let same = std::ptr::eq(base, mesh.uvs.as_slice());
         let base = if same { lightmap } else { self.accessor::<Vec2>("base", ComponentType::F32, Type::Vec2, base) };
+        let further = further.iter().map(|uvs| self.accessor::<Vec2>("uv", ComponentType::F32, Type::Vec2, uvs));
+        let sets = (0..).map(|set| Valid(Semantic::TexCoords(set))).zip([base, lightmap].into_iter().chain(further));
+        let mut attributes: BTreeMap<_, _> = sets.collect();
+        attributes.extend([(Valid(Semantic::Positions), positions), (Valid(Semantic::Normals), normals)]);
         let indices: &[u32] = bytemuck::cast_slice(&mesh.triangles);
         let indices = self.accessor("triangles", ComponentType::U32, Type::Scalar, indices);
         Primitive {
-            attributes: BTreeMap::from([
-                (Valid(Semantic::Positions), positions),
-                (Valid(Semantic::Normals), normals),
-                (Valid(Semantic::TexCoords(0)), base),
-                (Valid(Semantic::TexCoords(1)), lightmap),
-            ]),
+            attributes,
             indices: Some(indices),
             material: None,
             mode: Valid(Mode::Triangles),

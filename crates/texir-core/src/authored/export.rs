@@ -1,13 +1,16 @@
 //! The baked scene as a GLB: its surfaces in world space with the lightmap's coordinates in TEXCOORD_1, its materials and
 //! images as they were. Lights, cameras and animations are left out: the light is in the map.
+//!
+//! Engines look for a lightmap in TEXCOORD_1. Where that set of the file is another, it and those after it move up by one,
+//! and the materials' references with them.
 
 use std::path::Path;
 
 use glam::Vec2;
 use gltf_json::texture::{MagFilter, MinFilter, Sampler, WrappingMode};
 use gltf_json::validation::Checked::Valid;
-use gltf_json::{Index, Mesh as GltfMesh, Node, Scene, Texture};
-use serde_json::json;
+use gltf_json::{Index, Material, Mesh as GltfMesh, Node, Scene, Texture};
+use serde_json::{Value, json};
 
 use super::gltf::{Model, Part};
 use super::texture::encoded;
@@ -20,6 +23,9 @@ use crate::raster::Rgb;
 
 /// Extensions of the source that are kept, by prefix: those of materials and images.
 const KEPT: [&str; 3] = ["KHR_materials_", "KHR_texture_", "EXT_texture_"];
+
+/// The TEXCOORD where engines look for a lightmap.
+const LIGHTMAP_SET: usize = 1;
 
 /// Writes the scene that `source` holds and `model` was read from.
 ///
@@ -42,7 +48,12 @@ pub fn write_lightmapped_glb(
     }
     let from = document.into_json();
     let root = &mut builder.root;
-    (root.materials, root.textures, root.samplers) = (from.materials, from.textures, from.samplers);
+    (root.textures, root.samplers) = (from.textures, from.samplers);
+    let moved = model.lightmap_set != Some(LIGHTMAP_SET);
+    let materials = from.materials.into_iter().map(|material| if moved { moved_up(material) } else { Ok(material) });
+    root.materials = materials
+        .collect::<serde_json::Result<_>>()
+        .map_err(|e| Error::file(source, format!("a material cannot be written again: {e}")))?;
     let kept = |names: Vec<String>| names.into_iter().filter(|n| KEPT.iter().any(|prefix| n.starts_with(prefix)));
     root.extensions_used.extend(kept(from.extensions_used));
     root.extensions_required.extend(kept(from.extensions_required));
@@ -54,22 +65,50 @@ pub fn write_lightmapped_glb(
     for part in &model.parts {
         let lightmap = &model.mesh.uvs[first..first + part.positions.len()];
         first += part.positions.len();
-        nodes.push(add(&mut builder, part, lightmap));
+        // Where the file's own set is the lightmap's, that comes once.
+        let displaced = if moved { 1 } else { 2 };
+        nodes.push(add(&mut builder, part, lightmap, part.uvs.get(displaced..).unwrap_or_default()));
     }
     let scene = Scene { nodes, name: Some("lightmapped".to_owned()), extensions: None, extras: None };
     builder.root.scene = Some(builder.root.push(scene));
     builder.write(path)
 }
 
-/// Adds a part with its lightmap's coordinates.
-fn add(builder: &mut Builder, part: &Part, lightmap: &[Vec2]) -> Index<Node> {
+/// The material, its textures looked up one set further on, except for those of TEXCOORD_0.
+fn moved_up(material: Material) -> serde_json::Result<Material> {
+    let mut json = serde_json::to_value(material)?;
+    move_up(&mut json);
+    serde_json::from_value(json)
+}
+
+/// Every `texCoord` of a material is a set: that of a texture, of any extension, and of `KHR_texture_transform`, which
+/// replaces it.
+fn move_up(json: &mut Value) {
+    match json {
+        Value::Object(fields) => {
+            for (name, value) in fields {
+                match value.as_u64() {
+                    Some(set @ 1..) if name == "texCoord" => *value = set.saturating_add(1).into(),
+                    // What an application keeps for itself follows rules of its own.
+                    _ if name == "extras" => {}
+                    _ => move_up(value),
+                }
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(move_up),
+        _ => {}
+    }
+}
+
+/// Adds a part with its lightmap's coordinates, and the `further` sets that come after them.
+fn add(builder: &mut Builder, part: &Part, lightmap: &[Vec2], further: &[Vec<Vec2>]) -> Index<Node> {
     let mesh = Mesh {
         positions: part.positions.clone(),
         normals: part.normals.clone(),
         uvs: lightmap.to_vec(),
         triangles: part.triangles.clone(),
     };
-    let mut primitive = builder.primitive(&mesh, &part.uvs[0]);
+    let mut primitive = builder.primitive(&mesh, &part.uvs[0], further);
     primitive.material = part.material.map(|index| Index::new(index as u32));
     let mesh = builder.root.push(GltfMesh {
         name: Some(part.name.clone()),
@@ -103,7 +142,7 @@ fn attach(path: &Path, builder: &mut Builder, irradiance: &Rgb) -> Result<()> {
         extensions: Some(extensions),
         extras: None,
     });
-    let lightmap = json!({ "index": texture.value(), "texCoord": 1, "intensity": 1.0 });
+    let lightmap = json!({ "index": texture.value(), "texCoord": LIGHTMAP_SET, "intensity": 1.0 });
     for material in &mut builder.root.materials {
         let extensions = material.extensions.get_or_insert_default();
         extensions.others.insert("MOZ_lightmap".to_owned(), lightmap.clone());

@@ -4,6 +4,7 @@
 //! Base colour is the albedo, metals included: what they reflect is taken for diffuse. Alpha, vertex colours, skins and
 //! morph targets are left out, with a warning.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
@@ -33,10 +34,10 @@ const LOOKUPS: usize = 2;
 pub(crate) struct Part {
     pub positions: Vec<Vec3>,
     pub normals: Vec<Vec3>,
-    /// TEXCOORD_0 and TEXCOORD_1, zero where the file has none.
-    pub uvs: [Vec<Vec2>; 2],
+    /// TEXCOORD_0 and those that follow it in the file, zero at vertices that have none.
+    pub uvs: Vec<Vec<Vec2>>,
     /// Which of them it has at every vertex.
-    pub has_uvs: [bool; 2],
+    pub has_uvs: Vec<bool>,
     pub triangles: Vec<[u32; 3]>,
     /// Index of the material in the document; `None`: glTF's default.
     pub material: Option<usize>,
@@ -56,6 +57,8 @@ pub struct Model {
     pub mesh: Mesh,
     /// Columns and rows of the lightmap.
     pub size: [usize; 2],
+    /// The TEXCOORD of the file that `mesh.uvs` are; `None` where the scene was unwrapped.
+    pub(crate) lightmap_set: Option<usize>,
     /// Points, spots and distant lights.
     pub lights: Vec<PunctualLight>,
     /// The primitives, whose vertices and triangles `mesh` holds one after the other.
@@ -108,7 +111,9 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
     let images = (document.images())
         .map(|image| used.contains(&image.index()).then(|| decoded(path, &image, &buffers)).transpose())
         .collect::<Result<_>>()?;
-    let mut model = Model { mesh: Mesh::default(), size: [size; 2], lights, parts, shading, images };
+    let mut model =
+        Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
+    model.without_coordinates().into_iter().for_each(|what| progress.warn(&format!("{}: {what}", path.display())));
     model.lay_out(size, progress)?;
     if let Some(what) = model.mesh.misplaced() {
         progress.warn(&format!("{}: {what}", path.display()));
@@ -155,12 +160,35 @@ impl Model {
         Ok(Surfaces { albedo, emission, lights: self.lights.clone(), environment })
     }
 
+    /// What to tell the user of primitives that lack the coordinates of their material's textures, per set.
+    fn without_coordinates(&self) -> Vec<String> {
+        let mut lacking = BTreeMap::<usize, usize>::new();
+        for part in &self.parts {
+            let Shading { albedo, emission } = &self.shading[self.shading_of(part)];
+            let sets: BTreeSet<usize> =
+                [albedo, emission].iter().filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
+            let missing = sets.into_iter().filter(|set| part.has_uvs.get(*set) != Some(&true));
+            missing.for_each(|set| *lacking.entry(set).or_default() += 1);
+        }
+        let sentence = |(set, count): (usize, usize)| {
+            format!(
+                "{count} primitives have no TEXCOORD_{set} at every vertex, where their materials' textures are to be looked up: \
+                 they take the texture's corner; export them with that UV set"
+            )
+        };
+        lacking.into_iter().map(sentence).collect()
+    }
+
+    /// The place of a part's material in `shading`.
+    fn shading_of(&self, part: &Part) -> usize {
+        part.material.unwrap_or(self.shading.len() - 1)
+    }
+
     /// Per triangle of the mesh: the place in `shading`, and the part with its first vertex.
     fn materials(&self) -> Vec<(usize, usize, u32)> {
         let (mut all, mut first) = (Vec::with_capacity(self.mesh.triangles.len()), 0);
         for (i, part) in self.parts.iter().enumerate() {
-            let shading = part.material.unwrap_or(self.shading.len() - 1);
-            all.extend(std::iter::repeat_n((shading, i, first), part.triangles.len()));
+            all.extend(std::iter::repeat_n((self.shading_of(part), i, first), part.triangles.len()));
             first += part.positions.len() as u32;
         }
         all
@@ -169,12 +197,13 @@ impl Model {
     /// Albedo and emission at a point.
     fn at(&self, hit: &Hit, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
         let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
-        let uvs = self.parts[part].uvs.each_ref().map(|uvs| {
+        let uv = |set: usize| {
+            let uvs = self.parts[part].uvs.get(set)?;
             let [a, b, c] = corners.map(|i| uvs[i]);
-            a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
-        });
+            Some(a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v)
+        };
         let Shading { albedo, emission } = &self.shading[shading];
-        [albedo.at(uvs, &self.images).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uvs, &self.images)]
+        [albedo.at(uv, &self.images).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]
     }
 }
 
@@ -191,8 +220,8 @@ impl Part {
         };
         triangles.retain(|t| area(t).length_squared() > 0.0);
         let normals: Vec<Option<Vec3>> = normals.iter().map(|n| n.and_then(Vec3::try_normalize)).collect();
-        let has_uvs = uvs.each_ref().map(|uvs| uvs.iter().all(Option::is_some));
-        let uvs = uvs.map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect());
+        let has_uvs = uvs.iter().map(|uvs| uvs.iter().all(Option::is_some)).collect();
+        let uvs = uvs.into_iter().map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect()).collect();
         let name = node.name().map_or(format!("node {}", node.index()), str::to_owned);
         let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name };
         Ok(part.with_normals(&normals))
@@ -205,7 +234,7 @@ impl Part {
         }
         let corners: Vec<u32> = self.triangles.as_flattened().to_vec();
         self.positions = corners.iter().map(|&i| self.positions[i as usize]).collect();
-        self.uvs = self.uvs.map(|uvs: Vec<Vec2>| corners.iter().map(|&i| uvs[i as usize]).collect());
+        self.uvs.iter_mut().for_each(|uvs| *uvs = corners.iter().map(|&i| uvs[i as usize]).collect());
         self.triangles = (0..self.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
         let flat = |k: usize| {
             let [a, b, c] = [0, 1, 2].map(|corner| self.positions[k / 3 * 3 + corner]);
@@ -218,7 +247,7 @@ impl Part {
 
 /// All materials of the document, then glTF's default.
 fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
-    let texture = |info: Option<gltf::texture::Info>| info.map(|info| Texture::new(path, &info)).transpose();
+    let texture = |info: Option<gltf::texture::Info>| info.map(|info| Texture::new(&info));
     let of = |material: Material| -> Result<Shading> {
         let base = material.pbr_metallic_roughness();
         let [r, g, b, _] = base.base_color_factor();
@@ -232,8 +261,8 @@ fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
             ));
         }
         Ok(Shading {
-            albedo: Colour { factor: Vec3::new(r, g, b), texture: texture(base.base_color_texture())? },
-            emission: Colour { factor: emitted, texture: texture(material.emissive_texture())? },
+            albedo: Colour { factor: Vec3::new(r, g, b), texture: texture(base.base_color_texture()) },
+            emission: Colour { factor: emitted, texture: texture(material.emissive_texture()) },
         })
     };
     let white = Colour { factor: Vec3::ONE, texture: None };

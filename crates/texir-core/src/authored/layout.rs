@@ -19,9 +19,10 @@ impl Model {
     /// Chooses the lightmap's coordinates, and joins the parts.
     pub(super) fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<()> {
         for set in [1, 0] {
-            if self.parts.iter().all(|part| part.has_uvs[set]) {
+            if self.parts.iter().all(|part| part.has_uvs.get(set) == Some(&true)) {
                 self.mesh = joined(&self.parts, self.parts.iter().map(|part| part.uvs[set].as_slice()));
                 if is_lightmap(&self.mesh) {
+                    self.lightmap_set = Some(set);
                     return Ok(());
                 }
             }
@@ -37,7 +38,7 @@ impl Model {
         for (part, new) in self.parts.iter_mut().zip(&unwrapped.surfaces) {
             let from = |values: &[Vec3]| new.source.iter().map(|&i| values[i as usize]).collect();
             (part.positions, part.normals) = (from(&part.positions), from(&part.normals));
-            part.uvs = [0, 1].map(|set: usize| new.source.iter().map(|&i| part.uvs[set][i as usize]).collect());
+            part.uvs.iter_mut().for_each(|uvs| *uvs = new.source.iter().map(|&i| uvs[i as usize]).collect());
             part.triangles.clone_from(&new.triangles);
         }
         self.mesh = joined(&self.parts, unwrapped.surfaces.iter().map(|new| new.uvs.as_slice()));

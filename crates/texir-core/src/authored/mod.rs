@@ -15,6 +15,8 @@ mod export;
 mod gltf;
 mod layout;
 mod solve;
+#[cfg(test)]
+mod tests;
 mod texture;
 
 pub use self::export::write_lightmapped_glb;

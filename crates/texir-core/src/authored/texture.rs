@@ -22,10 +22,12 @@ pub(super) struct Colour {
 }
 
 impl Colour {
-    /// Linear RGB at a place of both sets of coordinates.
-    pub fn at(&self, uvs: [Vec2; 2], images: &[Option<RgbImage>]) -> Vec3 {
-        let texel =
-            self.texture.as_ref().and_then(|texture| Some(texture.at(uvs, images.get(texture.image)?.as_ref()?)));
+    /// Linear RGB at the place that `uv` tells of every set of coordinates; zero in those that it does not know.
+    pub fn at(&self, uv: impl Fn(usize) -> Option<Vec2>, images: &[Option<RgbImage>]) -> Vec3 {
+        let texel = self.texture.as_ref().and_then(|texture| {
+            let uv = uv(texture.set).unwrap_or_default();
+            Some(texture.at(uv, images.get(texture.image)?.as_ref()?))
+        });
         self.factor * texel.unwrap_or(Vec3::ONE)
     }
 }
@@ -42,28 +44,22 @@ pub(super) struct Texture {
 
 impl Texture {
     /// From a material's reference, `KHR_texture_transform` included.
-    pub fn new(path: &Path, info: &Info) -> Result<Self> {
+    pub fn new(info: &Info) -> Self {
         let transform = info.texture_transform();
         let set = transform.as_ref().and_then(|t| t.tex_coord()).unwrap_or(info.tex_coord()) as usize;
-        if set > 1 {
-            return Err(Error::file(
-                path,
-                format!("texture {} uses TEXCOORD_{set}; expected 0 or 1", info.texture().index()),
-            ));
-        }
         // The extension turns coordinates counter-clockwise as seen, and v points down.
         let image_from_uv = transform.map_or(Affine2::IDENTITY, |t| {
             Affine2::from_scale_angle_translation(t.scale().into(), -t.rotation(), t.offset().into())
         });
         let sampler = info.texture().sampler();
         let wrap = [sampler.wrap_s(), sampler.wrap_t()];
-        Ok(Self { image: info.texture().source().index(), set, image_from_uv, wrap })
+        Self { image: info.texture().source().index(), set, image_from_uv, wrap }
     }
 
-    fn at(&self, uvs: [Vec2; 2], image: &RgbImage) -> Vec3 {
+    fn at(&self, uv: Vec2, image: &RgbImage) -> Vec3 {
         let size = Vec2::new(image.width() as f32, image.height() as f32);
         // Texel centres are at half-integers.
-        let place = self.image_from_uv.transform_point2(uvs[self.set]) * size - 0.5;
+        let place = self.image_from_uv.transform_point2(uv) * size - 0.5;
         let (low, f) = (place.floor(), place - place.floor());
         let pixel = |dx: f32, dy: f32| {
             let x = wrapped(low.x + dx, image.width(), self.wrap[0]);

@@ -99,8 +99,7 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
             let base = raw.positions.len() as u32;
             raw.positions.extend(surface.positions);
             raw.normals.extend(surface.normals);
-            let [first, _] = surface.uvs;
-            raw.uvs.extend(first);
+            raw.uvs.extend(surface.uvs.into_iter().next().unwrap_or_default());
             raw.triangles.extend(surface.triangles.iter().map(|t| t.map(|i| base + i)));
         }
         Ok(())
@@ -112,8 +111,8 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
 pub(crate) struct Surface {
     pub positions: Vec<Vec3>,
     pub normals: Vec<Option<Vec3>>,
-    /// TEXCOORD_0 and TEXCOORD_1.
-    pub uvs: [Vec<Option<Vec2>>; 2],
+    /// TEXCOORD_0, also where the file has none, and those that follow it in the file.
+    pub uvs: Vec<Vec<Option<Vec2>>>,
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -173,7 +172,9 @@ pub(crate) fn surface(
     }
     let normal_from_node = world_from_node.inverse().transpose();
     let normals = reader.read_normals().map(|n| n.map(|n| normal_from_node.transform_vector3(Vec3::from(n))));
-    let uvs = [0, 1].map(|set| padded(reader.read_tex_coords(set).map(|uvs| uvs.into_f32().map(Vec2::from)), count));
+    let uvs = (0..uv_sets(primitive))
+        .map(|set| padded(reader.read_tex_coords(set).map(|uvs| uvs.into_f32().map(Vec2::from)), count))
+        .collect();
 
     let indices: Vec<u32> = match primitive.indices() {
         Some(_) => reader.read_indices().ok_or_else(|| out_of_buffer("indices"))?.into_u32().collect(),
@@ -186,6 +187,11 @@ pub(crate) fn surface(
     let order = if world_from_node.determinant() < 0.0 { [0, 2, 1] } else { [0, 1, 2] };
     let triangles = indices.chunks_exact(3).map(|t| order.map(|corner| t[corner])).collect();
     Ok(Some(Surface { positions, normals: padded(normals, count), uvs, triangles }))
+}
+
+/// How many sets of coordinates a primitive has: TEXCOORD_0, counted even where it is missing, and those that follow it.
+fn uv_sets(primitive: &Primitive) -> u32 {
+    1 + (1..).take_while(|set| primitive.get(&Semantic::TexCoords(*set)).is_some()).count() as u32
 }
 
 /// The component types that the specification allows: the accessor reader relies on them.
@@ -213,7 +219,9 @@ fn check_accessors(path: &Path, place: &str, primitive: &Primitive) -> Result<()
     }
     check("POSITION", primitive.get(&Semantic::Positions), Dimensions::Vec3, &[F32])?;
     check("NORMAL", primitive.get(&Semantic::Normals), Dimensions::Vec3, &[F32])?;
-    check("TEXCOORD_0", primitive.get(&Semantic::TexCoords(0)), Dimensions::Vec2, &[F32, U8, U16])?;
-    check("TEXCOORD_1", primitive.get(&Semantic::TexCoords(1)), Dimensions::Vec2, &[F32, U8, U16])?;
+    for set in 0..uv_sets(primitive) {
+        let accessor = primitive.get(&Semantic::TexCoords(set));
+        check(&format!("TEXCOORD_{set}"), accessor, Dimensions::Vec2, &[F32, U8, U16])?;
+    }
     check("indices", primitive.indices(), Dimensions::Scalar, &[U8, U16, U32])
 }

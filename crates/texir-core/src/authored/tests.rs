@@ -1,0 +1,173 @@
+//! The baked scene's file against the one that it was made of, and what the reader says of what it leaves out.
+
+use std::path::{Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use gltf::binary::Glb;
+use serde_json::{Value, json};
+
+use super::{read_gltf, write_lightmapped_glb};
+use crate::image_io::encode_png;
+use crate::progress::Silent;
+use crate::raster::{Raster, Rgb};
+
+/// Corners of a unit square, counter-clockwise from above.
+const CORNERS: [[f32; 2]; 4] = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]];
+
+/// Coordinates of the corners.
+type Uvs = [[f32; 2]; 4];
+
+/// The corners, scaled and moved.
+fn set(scale: f32, at: f32) -> Uvs {
+    CORNERS.map(|corner| corner.map(|v| at + scale * v))
+}
+
+/// Writes a scene of level squares above each other, a node each, with their sets of coordinates and their material; `more`
+/// are the other fields of the document.
+fn write_squares(folder: &Path, squares: &[(&[Uvs], Option<usize>)], more: Value) -> PathBuf {
+    let (mut bytes, mut views, mut accessors) = (Vec::new(), Vec::new(), Vec::new());
+    let mut accessor = |values: &[f32], shape: &str, width: usize| {
+        views.push(json!({ "buffer": 0, "byteOffset": bytes.len(), "byteLength": 4 * values.len() }));
+        bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        let count = values.len() / width;
+        let mut accessor =
+            json!({ "bufferView": views.len() - 1, "componentType": 5126, "count": count, "type": shape });
+        if width == 3 {
+            (accessor["min"], accessor["max"]) = (json!([0.0, 0.0, 0.0]), json!([1.0, 9.0, 1.0]));
+        }
+        accessors.push(accessor);
+        accessors.len() - 1
+    };
+    let (mut meshes, mut nodes) = (Vec::new(), Vec::new());
+    for (height, (sets, material)) in squares.iter().enumerate() {
+        let place = |[x, z]: [f32; 2]| [x, height as f32, z];
+        // Six corners without indices: two triangles.
+        let order = [0, 1, 2, 0, 2, 3];
+        let positions: Vec<f32> = order.iter().flat_map(|&i| place(CORNERS[i])).collect();
+        let mut primitive = json!({ "attributes": { "POSITION": accessor(&positions, "VEC3", 3) } });
+        for (k, uvs) in sets.iter().enumerate() {
+            let uvs: Vec<f32> = order.iter().flat_map(|&i| uvs[i]).collect();
+            primitive["attributes"][format!("TEXCOORD_{k}")] = accessor(&uvs, "VEC2", 2).into();
+        }
+        if let Some(material) = material {
+            primitive["material"] = json!(material);
+        }
+        meshes.push(json!({ "primitives": [primitive] }));
+        nodes.push(json!({ "mesh": height }));
+    }
+    let uri = format!("data:application/octet-stream;base64,{}", BASE64.encode(&bytes));
+    let mut document = json!({
+        "asset": { "version": "2.0" }, "buffers": [{ "byteLength": bytes.len(), "uri": uri }],
+        "bufferViews": views, "accessors": accessors, "meshes": meshes, "nodes": nodes,
+        "scenes": [{ "nodes": (0..squares.len()).collect::<Vec<_>>() }], "scene": 0,
+    });
+    let (fields, more) = (document.as_object_mut().unwrap(), more.as_object().unwrap());
+    fields.extend(more.iter().map(|(name, value)| (name.clone(), value.clone())));
+    let path = folder.join("scene.gltf");
+    std::fs::write(&path, document.to_string()).unwrap();
+    path
+}
+
+/// A GLB as it was written: its JSON and its binary chunk.
+struct Written(Value, Vec<u8>);
+
+impl Written {
+    /// What a scene becomes, with a lightmap inside or not.
+    fn of(source: &Path, attached: bool) -> Self {
+        let model = read_gltf(source, 64, &Silent).unwrap();
+        let irradiance = Rgb::filled(4, 4, [1.0; 3]);
+        let path = source.with_file_name("baked.glb");
+        write_lightmapped_glb(&path, source, &model, attached.then_some(&irradiance)).unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let Glb { json, bin, .. } = Glb::from_slice(&bytes).unwrap();
+        Self(serde_json::from_slice(&json).unwrap(), bin.unwrap().into_owned())
+    }
+
+    /// An attribute of a square, per vertex.
+    fn attribute(&self, square: usize, name: &str) -> Vec<Vec<f32>> {
+        let index = &self.0["meshes"][square]["primitives"][0]["attributes"][name];
+        let accessor = &self.0["accessors"][index.as_u64().unwrap_or_else(|| panic!("no {name}")) as usize];
+        let view = &self.0["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let [offset, length] = ["byteOffset", "byteLength"].map(|field| view[field].as_u64().unwrap() as usize);
+        let floats: Vec<f32> =
+            self.1[offset..][..length].chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+        let width = if accessor["type"] == "VEC3" { 3 } else { 2 };
+        floats.chunks(width).map(<[f32]>::to_vec).collect()
+    }
+
+    /// Whether a set of coordinates of a square is that which `source` gives its corners.
+    fn is_set(&self, square: usize, set: u64, source: Uvs) -> bool {
+        let (positions, uvs) = (self.attribute(square, "POSITION"), self.attribute(square, &format!("TEXCOORD_{set}")));
+        positions.iter().zip(&uvs).all(|(position, uv)| {
+            let corner = CORNERS.iter().position(|corner| corner[..] == [position[0], position[2]]).unwrap();
+            uv[..] == source[corner]
+        })
+    }
+}
+
+/// A pixel of PNG, as a data URI.
+fn png() -> String {
+    let mut file = Vec::new();
+    let pixel = Raster { width: 1, height: 1, data: vec![[200u8; 3]] };
+    encode_png(&pixel, &mut file).unwrap();
+    format!("data:image/png;base64,{}", BASE64.encode(file))
+}
+
+#[test]
+fn textures_of_the_baked_scene_are_looked_up_where_they_were() {
+    let folder = tempfile::tempdir().unwrap();
+    let materials = json!({
+        "extensionsUsed": ["KHR_texture_transform", "KHR_materials_clearcoat"],
+        "images": [{ "uri": png() }], "textures": [{ "source": 0 }],
+        "materials": [{
+            "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "texCoord": 1 }, "roughnessFactor": 0.3 },
+            "normalTexture": { "index": 0, "texCoord": 2 },
+            "occlusionTexture": { "index": 0 },
+            "emissiveTexture": {
+                "index": 0, "texCoord": 0, "extensions": { "KHR_texture_transform": { "texCoord": 2, "scale": [2, 2] } }
+            },
+            "extensions": { "KHR_materials_clearcoat": { "clearcoatTexture": { "index": 0, "texCoord": 1 } } },
+            "extras": { "texCoord": 1 },
+        }],
+    });
+    // Which set serves as the lightmap's: none, the first, the second. A set that is shared does not.
+    let (shared, tiled) = (set(1.0, 0.0), set(3.0, 0.5));
+    let own = [set(0.4, 0.05), set(0.4, 0.55)];
+    let cases = [
+        [[shared, tiled, shared], [shared, tiled, shared]],
+        [[own[0], tiled, shared], [own[1], tiled, shared]],
+        [[shared, own[0], tiled], [shared, own[1], tiled]],
+    ];
+    for (case, squares) in cases.iter().enumerate() {
+        let source =
+            write_squares(folder.path(), &squares.each_ref().map(|sets| (&sets[..], Some(0))), materials.clone());
+        let written = Written::of(&source, false);
+        let material = &written.0["materials"][0];
+        let base = &material["pbrMetallicRoughness"]["baseColorTexture"];
+        let clearcoat = &material["extensions"]["KHR_materials_clearcoat"]["clearcoatTexture"];
+        let transform = &material["emissiveTexture"]["extensions"]["KHR_texture_transform"];
+        let looked_up = [
+            (base, 1),
+            (&material["normalTexture"], 2),
+            (&material["occlusionTexture"], 0),
+            (&material["emissiveTexture"], 0),
+            (transform, 2),
+            (clearcoat, 1),
+        ];
+        for (reference, set) in looked_up {
+            let now = reference["texCoord"].as_u64().unwrap_or(0);
+            for (square, sets) in squares.iter().enumerate() {
+                assert!(written.is_set(square, now, sets[set]), "case {case}: {reference} was set {set}");
+            }
+        }
+        assert_eq!(material["extras"]["texCoord"], 1);
+        assert_eq!(material["pbrMetallicRoughness"]["roughnessFactor"].as_f64().map(|v| v as f32), Some(0.3));
+        assert_eq!(transform["scale"], json!([2.0, 2.0]));
+        // Negative control: what the lightmap is looked up by is another set, unless it is the file's own.
+        let served = [None, Some(0), Some(1)][case];
+        (0..3).for_each(|set| assert_eq!(written.is_set(0, 1, squares[0][set]), served == Some(set), "{case} {set}"));
+        let last = written.0["meshes"][0]["primitives"][0]["attributes"].get("TEXCOORD_3").is_some();
+        assert_eq!(last, served != Some(1), "the file's own set comes once");
+    }
+}
