@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use glam::Vec2;
+use gltf::image::Source;
 use gltf_json::texture::{MagFilter, MinFilter, Sampler, WrappingMode};
 use gltf_json::validation::Checked::Valid;
 use gltf_json::{Index, Material, Mesh as GltfMesh, Node, Scene, Texture};
@@ -30,7 +31,7 @@ const LIGHTMAP_SET: usize = 1;
 /// Writes the scene that `source` holds and `model` was read from.
 ///
 /// `attached`: an irradiance map to be put inside, as every material's `MOZ_lightmap` (a Radiance HDR image, marked by
-/// `MOZ_texture_rgbe`).
+/// `MOZ_texture_rgbe`); primitives without a material get one that carries it.
 pub fn write_lightmapped_glb(
     path: impl AsRef<Path>,
     source: impl AsRef<Path>,
@@ -43,7 +44,7 @@ pub fn write_lightmapped_glb(
     for image in document.images() {
         let file = encoded(source, &image, &buffers)?;
         let name = image.name().map(str::to_owned);
-        let image = builder.image(name, mime_type(&file), &file);
+        let image = builder.image(name, mime_type(&file, declared_type(&image)), &file);
         builder.root.images.push(image);
     }
     let from = document.into_json();
@@ -57,17 +58,22 @@ pub fn write_lightmapped_glb(
     let kept = |names: Vec<String>| names.into_iter().filter(|n| KEPT.iter().any(|prefix| n.starts_with(prefix)));
     root.extensions_used.extend(kept(from.extensions_used));
     root.extensions_required.extend(kept(from.extensions_required));
+    let mut default = None;
     if let Some(irradiance) = attached {
+        // What has no material has nothing to carry a lightmap: it takes glTF's default material in words.
+        default =
+            model.parts.iter().any(|part| part.material.is_none()).then(|| builder.root.push(Material::default()));
         attach(path, &mut builder, irradiance)?;
     }
 
     let (mut nodes, mut first) = (Vec::new(), 0);
     for part in &model.parts {
+        let material = part.material.map(|index| Index::new(index as u32)).or(default);
         let lightmap = &model.mesh.uvs[first..first + part.positions.len()];
         first += part.positions.len();
         // Where the file's own set is the lightmap's, that comes once.
         let displaced = if moved { 1 } else { 2 };
-        nodes.push(add(&mut builder, part, lightmap, part.uvs.get(displaced..).unwrap_or_default()));
+        nodes.push(add(&mut builder, part, material, lightmap, part.uvs.get(displaced..).unwrap_or_default()));
     }
     let scene = Scene { nodes, name: Some("lightmapped".to_owned()), extensions: None, extras: None };
     builder.root.scene = Some(builder.root.push(scene));
@@ -101,7 +107,13 @@ fn move_up(json: &mut Value) {
 }
 
 /// Adds a part with its lightmap's coordinates, and the `further` sets that come after them.
-fn add(builder: &mut Builder, part: &Part, lightmap: &[Vec2], further: &[Vec<Vec2>]) -> Index<Node> {
+fn add(
+    builder: &mut Builder,
+    part: &Part,
+    material: Option<Index<Material>>,
+    lightmap: &[Vec2],
+    further: &[Vec<Vec2>],
+) -> Index<Node> {
     let mesh = Mesh {
         positions: part.positions.clone(),
         normals: part.normals.clone(),
@@ -109,7 +121,7 @@ fn add(builder: &mut Builder, part: &Part, lightmap: &[Vec2], further: &[Vec<Vec
         triangles: part.triangles.clone(),
     };
     let mut primitive = builder.primitive(&mesh, &part.uvs[0], further);
-    primitive.material = part.material.map(|index| Index::new(index as u32));
+    primitive.material = material;
     let mesh = builder.root.push(GltfMesh {
         name: Some(part.name.clone()),
         primitives: vec![primitive],
@@ -151,7 +163,21 @@ fn attach(path: &Path, builder: &mut Builder, irradiance: &Rgb) -> Result<()> {
     Ok(())
 }
 
-/// PNG or JPEG, the two that glTF knows, by the first bytes.
-fn mime_type(file: &[u8]) -> &'static str {
-    if file.starts_with(&[0x89, b'P', b'N', b'G']) { "image/png" } else { "image/jpeg" }
+/// The type of an image by its first bytes, and of formats that glTF and its extensions do not know what the scene says.
+fn mime_type<'a>(file: &[u8], declared: Option<&'a str>) -> &'a str {
+    match file {
+        [0x89, b'P', b'N', b'G', ..] => "image/png",
+        [0xff, 0xd8, 0xff, ..] => "image/jpeg",
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "image/webp",
+        [0xab, b'K', b'T', b'X', b' ', b'2', b'0', 0xbb, ..] => "image/ktx2",
+        _ => declared.unwrap_or("application/octet-stream"),
+    }
+}
+
+/// The type that the scene names: beside the image, or in its data URI.
+fn declared_type<'a>(image: &gltf::Image<'a>) -> Option<&'a str> {
+    match image.source() {
+        Source::View { mime_type, .. } => Some(mime_type),
+        Source::Uri { uri, mime_type } => mime_type.or_else(|| uri.strip_prefix("data:")?.split([';', ',']).next()),
+    }
 }

@@ -171,3 +171,52 @@ fn textures_of_the_baked_scene_are_looked_up_where_they_were() {
         assert_eq!(last, served != Some(1), "the file's own set comes once");
     }
 }
+
+#[test]
+fn primitives_without_a_material_carry_the_lightmap_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let materials = json!({ "materials": [{ "pbrMetallicRoughness": { "baseColorFactor": [0.5, 0.5, 0.5, 1.0] } }] });
+    let sets = [set(1.0, 0.0)];
+    let squares = [(&sets[..], Some(0)), (&sets[..], None), (&sets[..], None)];
+    let source = write_squares(folder.path(), &squares, materials);
+    let Written(json, _) = Written::of(&source, true);
+    let used: Vec<usize> =
+        (0..3).map(|i| json["meshes"][i]["primitives"][0]["material"].as_u64().unwrap() as usize).collect();
+    assert_eq!(used, [0, 1, 1]);
+    let materials = json["materials"].as_array().unwrap();
+    assert!(materials.iter().all(|material| material["extensions"]["MOZ_lightmap"]["texCoord"] == 1), "{materials:?}");
+    // White, as the default that the surfaces were baked with.
+    let white = read_gltf(source.with_file_name("baked.glb"), 64, &Silent).unwrap();
+    assert_eq!(white.parts[1].material, Some(1));
+    let factor = &materials[1]["pbrMetallicRoughness"]["baseColorFactor"];
+    assert!(factor.as_array().is_none_or(|factor| factor.iter().all(|v| v == 1.0)), "{factor}");
+    // Negative control: without a lightmap inside, none is made up.
+    let Written(json, _) = Written::of(&source, false);
+    assert_eq!(json["materials"].as_array().unwrap().len(), 1);
+    assert!(json["meshes"][1]["primitives"][0].get("material").is_none());
+}
+
+#[test]
+fn images_of_the_baked_scene_have_their_own_type() {
+    let folder = tempfile::tempdir().unwrap();
+    let data =
+        |declared: &str, file: &[u8]| json!({ "uri": format!("data:{declared};base64,{}", BASE64.encode(file)) });
+    let webp = b"RIFF\x04\0\0\0WEBPVP8 ";
+    let ktx2 = b"\xabKTX 20\xbb\r\n\x1a\n";
+    let images = json!({ "images": [
+        { "uri": png() },
+        data("image/png", b"\xff\xd8\xff\xe0\0\x10JFIF"),
+        data("image/jpeg", webp),
+        data("image/jpeg", ktx2),
+        data("image/avif", b"\0\0\0\x1cftypavif"),
+        { "uri": "data:;base64,AAAA", "mimeType": "image/x-own" },
+        // Negative control: the same container, other contents.
+        data("audio/wav", b"RIFF\x04\0\0\0WAVEfmt "),
+    ] });
+    let source = write_squares(folder.path(), &[(&[set(1.0, 0.0)], None)], images);
+    let Written(json, _) = Written::of(&source, false);
+    let types: Vec<_> =
+        json["images"].as_array().unwrap().iter().map(|image| image["mimeType"].as_str().unwrap()).collect();
+    let expected = ["image/png", "image/jpeg", "image/webp", "image/ktx2", "image/avif", "image/x-own", "audio/wav"];
+    assert_eq!(types, expected);
+}
