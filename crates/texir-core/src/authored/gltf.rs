@@ -47,6 +47,8 @@ pub(crate) struct Part {
 
 /// What a material emits and reflects.
 struct Shading {
+    /// As the file calls it, for messages.
+    name: String,
     albedo: Colour,
     emission: Colour,
 }
@@ -164,7 +166,7 @@ impl Model {
     fn without_coordinates(&self) -> Vec<String> {
         let mut lacking = BTreeMap::<usize, usize>::new();
         for part in &self.parts {
-            let Shading { albedo, emission } = &self.shading[self.shading_of(part)];
+            let Shading { albedo, emission, .. } = &self.shading[self.shading_of(part)];
             let sets: BTreeSet<usize> =
                 [albedo, emission].iter().filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
             let missing = sets.into_iter().filter(|set| part.has_uvs.get(*set) != Some(&true));
@@ -177,6 +179,15 @@ impl Model {
             )
         };
         lacking.into_iter().map(sentence).collect()
+    }
+
+    /// Names of the materials in the scene that reflect at least a `share` of the light in some channel, on average.
+    pub(super) fn reflecting(&self, share: f32) -> Vec<&str> {
+        let used: BTreeSet<usize> = self.parts.iter().map(|part| self.shading_of(part)).collect();
+        let used = used.into_iter().map(|shading| &self.shading[shading]);
+        used.filter(|shading| shading.albedo.mean(&self.images).max_element() >= share)
+            .map(|s| s.name.as_str())
+            .collect()
     }
 
     /// The place of a part's material in `shading`.
@@ -202,7 +213,7 @@ impl Model {
             let [a, b, c] = corners.map(|i| uvs[i]);
             Some(a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v)
         };
-        let Shading { albedo, emission } = &self.shading[shading];
+        let Shading { albedo, emission, .. } = &self.shading[shading];
         [albedo.at(uv, &self.images).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]
     }
 }
@@ -251,16 +262,18 @@ fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
     let of = |material: Material| -> Result<Shading> {
         let base = material.pbr_metallic_roughness();
         let [r, g, b, _] = base.base_color_factor();
+        let name = material.name().map(|name| format!("\"{name}\""));
+        let name = name.or_else(|| Some(format!("material {}", material.index()?))).unwrap_or_default();
         let strength = material.emissive_strength().unwrap_or(1.0);
         let emitted = Vec3::from(material.emissive_factor()) * strength;
         if !(emitted.min_element() >= 0.0 && emitted.is_finite() && Vec3::new(r, g, b).is_finite()) {
-            let name = material.name().unwrap_or_default();
             return Err(Error::file(
                 path,
-                format!("material \"{name}\" emits {emitted} and reflects ({r}, {g}, {b}); expected positive numbers"),
+                format!("{name} emits {emitted} and reflects ({r}, {g}, {b}); expected positive numbers"),
             ));
         }
         Ok(Shading {
+            name,
             albedo: Colour { factor: Vec3::new(r, g, b), texture: texture(base.base_color_texture()) },
             emission: Colour { factor: emitted, texture: texture(material.emissive_texture()) },
         })
@@ -268,7 +281,8 @@ fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
     let white = Colour { factor: Vec3::ONE, texture: None };
     let black = Colour { factor: Vec3::ZERO, texture: None };
     let mut all: Vec<Shading> = document.materials().map(of).collect::<Result<_>>()?;
-    all.push(Shading { albedo: white, emission: black });
+    let name = "glTF's default (of primitives without a material)".to_owned();
+    all.push(Shading { name, albedo: white, emission: black });
     Ok(all)
 }
 

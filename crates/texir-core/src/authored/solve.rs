@@ -4,7 +4,7 @@
 use std::f32::consts::PI;
 use std::ops::Range;
 
-use super::Surfaces;
+use super::{Model, Surfaces};
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
@@ -20,6 +20,15 @@ use crate::scene::Scene;
 /// A bounce brings less light than the one before, so that fewer rays suffice: in proportion to its share, but not fewer
 /// than this share of the first gather's.
 const FEWEST_RAYS: f64 = 1.0 / 16.0;
+
+/// A bounce that brings this share of the light of the one before is as bright as that: noise hides the rest.
+const STEADY: f64 = 0.99;
+
+/// Materials that reflect this much are named where bounces do not end.
+const NEARLY_WHITE: f32 = 0.95;
+
+/// Names in one message.
+const NAMED: usize = 5;
 
 /// When to stop bouncing, and how to gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +50,45 @@ pub struct Solved {
     pub series: Vec<f64>,
     /// Estimated share of all light that the bounces left out would add.
     pub remainder: f64,
+}
+
+impl Solved {
+    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where their number was
+    /// `asked` for, only that more of them would not help.
+    pub fn unfinished(&self, model: &Model, tolerance: f32, asked: bool) -> Option<String> {
+        let steady = is_steady(&self.series);
+        // No tolerance at all asks for as many bounces as are allowed.
+        if self.remainder <= f64::from(tolerance) || (!steady && (asked || tolerance == 0.0)) {
+            return None;
+        }
+        let (bounces, white) = (self.series.len() - 1, model.reflecting(NEARLY_WHITE));
+        if steady {
+            // Light that stays for a while, and would die away after more bounces than were asked for.
+            return (!asked || !white.is_empty()).then(|| {
+                format!(
+                    "bounces do not converge: after {bounces}, each still brings about as much light as the one before, and the \
+                     map depends on where they end; {}",
+                    darken(&white)
+                )
+            });
+        }
+        let share = 100.0 * self.remainder;
+        let share = if share.is_finite() { format!("about {share:.2} %") } else { "an unknown share".to_owned() };
+        let reason = if white.is_empty() { String::new() } else { format!("; {}", darken(&white)) };
+        Some(format!(
+            "{bounces} bounces leave out {share} of all light, where --tolerance is {tolerance}: allow more with --bounces{reason}"
+        ))
+    }
+}
+
+/// What to do about materials by their names.
+fn darken(white: &[&str]) -> String {
+    let names = match white.len() {
+        0 => "surfaces".to_owned(),
+        n if n > NAMED => format!("{} and {} more materials", white[..NAMED].join(", "), n - NAMED),
+        _ => white.join(", "),
+    };
+    format!("{names} reflect nearly all light: give them a darker base colour (white paint reflects 0.8)")
 }
 
 /// Solves the light of a scene at `texels`, of a map whose size the maps of `surfaces` have.
@@ -150,9 +198,25 @@ fn remainder_of(series: &[f64]) -> f64 {
     }
 }
 
+/// Whether the last two bounces brought no less light than those before them.
+fn is_steady(series: &[f64]) -> bool {
+    match series {
+        [.., a, b, c] => *c > 0.0 && *b >= STEADY * a && *c >= STEADY * b,
+        _ => false,
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::remainder_of;
+    use super::{is_steady, remainder_of};
+
+    #[test]
+    fn light_that_stays_is_told_from_light_that_dies_away() {
+        assert!(is_steady(&[5.0, 1.0, 1.0, 0.999]) && is_steady(&[1.0, 1.1, 1.2]));
+        assert!(!is_steady(&[1.0, 0.9, 0.81]) && !is_steady(&[1.0, 1.0, 0.5]) && !is_steady(&[0.0, 0.0, 0.0]));
+        // Light that finds its way around a corner first: two are too few to tell.
+        assert!(!is_steady(&[1.0, 2.0]) && !is_steady(&[1.0, 2.0, 1.5]));
+    }
 
     #[test]
     fn what_is_left_out_is_a_share_of_all_light() {

@@ -4,13 +4,19 @@ use std::path::{Path, PathBuf};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
+use glam::{Mat4, Vec3};
 use gltf::binary::Glb;
 use serde_json::{Value, json};
 
-use super::{read_gltf, write_lightmapped_glb};
+use super::{Bounces, irradiance, read_gltf, write_lightmapped_glb};
+use crate::backend::Gather;
+use crate::bake::{Quality, Texels, Workspace};
+use crate::checkpoint::Checkpoints;
+use crate::cpu::CpuBackend;
 use crate::image_io::encode_png;
 use crate::progress::Silent;
 use crate::raster::{Raster, Rgb};
+use crate::scene::Scene;
 
 /// Corners of a unit square, counter-clockwise from above.
 const CORNERS: [[f32; 2]; 4] = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]];
@@ -219,4 +225,57 @@ fn images_of_the_baked_scene_have_their_own_type() {
         json["images"].as_array().unwrap().iter().map(|image| image["mimeType"].as_str().unwrap()).collect();
     let expected = ["image/png", "image/jpeg", "image/webp", "image/ktx2", "image/avif", "image/x-own", "audio/wav"];
     assert_eq!(types, expected);
+}
+
+/// A closed box of unit squares that face inwards, of one material or none, around a lamp.
+fn write_box(folder: &Path, material: Option<Value>) -> PathBuf {
+    let half = std::f32::consts::FRAC_PI_2;
+    let turns = (0..4).map(|k| Mat4::from_rotation_x(k as f32 * half)).chain([-half, half].map(Mat4::from_rotation_z));
+    let about = Vec3::splat(0.5);
+    let placed = turns.map(|turn| Mat4::from_translation(about) * turn * Mat4::from_translation(-about));
+    let mut nodes: Vec<Value> = placed.map(|place| json!({ "mesh": 0, "matrix": place.to_cols_array() })).collect();
+    nodes.push(json!({ "translation": about.to_array(), "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
+    let more = json!({
+        "extensionsUsed": ["KHR_lights_punctual"],
+        "extensions": { "KHR_lights_punctual": { "lights": [{ "type": "point", "intensity": 10.0 }] } },
+        "materials": material.iter().collect::<Vec<_>>(),
+        "scenes": [{ "nodes": (0..nodes.len()).collect::<Vec<_>>() }], "nodes": nodes,
+    });
+    write_squares(folder, &[(&[], material.map(|_| 0))], more)
+}
+
+/// What the user is told after so many bounces in a box, which were asked for or not.
+fn told(material: Option<Value>, most: u32, asked: bool) -> Option<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let model = read_gltf(write_box(folder.path(), material), 32, &Silent).unwrap();
+    let scene = Scene::new(model.mesh.clone()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let texels = Texels::map(&mut backend, &scene, model.size, Workspace::Memory, &Silent).unwrap();
+    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
+    let quality = Quality { gather: Gather::new(16, 0, 1), error: None, denoise: None };
+    let bounces = Bounces { quality, tolerance: 0.005, most };
+    let solved = irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+    solved.unfinished(&model, bounces.tolerance, asked)
+}
+
+#[test]
+fn bounces_that_do_not_end_are_told_with_the_materials_to_blame() {
+    let grey = |v: f32| Some(json!({ "name": "wall", "pbrMetallicRoughness": { "baseColorFactor": [v, v, v, 1.0] } }));
+    for asked in [false, true] {
+        let white = told(None, 8, asked).unwrap();
+        assert!(white.contains("do not converge: after 8") && white.contains("glTF's default"), "{white}");
+        assert!(!white.contains("--bounces"), "more of them would not help: {white}");
+        assert!(told(grey(1.0), 4, asked).unwrap().contains("\"wall\""));
+    }
+    let slow = told(grey(0.96), 8, false).unwrap();
+    assert!(
+        slow.contains("8 bounces leave out about") && slow.contains("is 0.005") && slow.contains("\"wall\""),
+        "{slow}"
+    );
+    assert!(slow.contains("--bounces"), "{slow}");
+    let few = told(grey(0.5), 2, false).unwrap();
+    assert!(few.contains("2 bounces") && few.contains("--bounces") && !few.contains("nearly all light"), "{few}");
+    // Negative controls: what was asked for, and what converged.
+    assert_eq!(told(grey(0.96), 8, true), None);
+    assert_eq!(told(grey(0.5), 64, false), None);
 }

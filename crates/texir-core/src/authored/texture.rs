@@ -6,7 +6,7 @@ use std::path::Path;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use glam::{Affine2, Vec2, Vec3};
+use glam::{Affine2, DVec3, Vec2, Vec3};
 use gltf::buffer::Data;
 use gltf::image::Source;
 use gltf::texture::{Info, WrappingMode};
@@ -29,6 +29,16 @@ impl Colour {
             Some(texture.at(uv, images.get(texture.image)?.as_ref()?))
         });
         self.factor * texel.unwrap_or(Vec3::ONE)
+    }
+
+    /// Linear RGB, the mean over the whole image.
+    pub fn mean(&self, images: &[Option<RgbImage>]) -> Vec3 {
+        let image = self.texture.as_ref().and_then(|texture| images.get(texture.image)?.as_ref());
+        let Some(image) = image else { return self.factor };
+        let linear: [f64; 256] = std::array::from_fn(|v| f64::from(linear_from_srgb(v as u8)));
+        let sum =
+            image.pixels().fold(DVec3::ZERO, |sum, pixel| sum + DVec3::from(pixel.0.map(|v| linear[usize::from(v)])));
+        self.factor * (sum / image.pixels().len() as f64).as_vec3()
     }
 }
 

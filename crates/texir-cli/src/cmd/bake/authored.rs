@@ -74,7 +74,8 @@ struct Summary {
     rays: u64,
     /// Mean irradiance of the direct light and of every bounce, lux.
     series: Vec<f64>,
-    /// Estimated share of all light that further bounces would add; absent after direct light alone.
+    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where the last bounce
+    /// brought no less light than the one before.
     remainder: Option<f64>,
 }
 
@@ -105,6 +106,9 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let solved =
         authored::irradiance(backend.as_mut(), &scene, &texels, &surfaces, &bounces, &checkpoints, session.console)?;
     drop(surfaces);
+    if let Some(warning) = solved.unfinished(&model, tolerance, options.bounces.is_some()) {
+        session.console.warn(&format!("{}: {warning}", bake.input.display()));
+    }
     bake.write(&solved.solution, &texels, session)?;
     let attached = match bake.profile() {
         moz @ Profile::Moz => Some(moz.lightmap(&solved.solution.map(&texels, bake.buried())?)),
@@ -126,13 +130,17 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         series: solved.series,
     };
     session.print(&summary, || {
-        let left = summary.remainder.map_or(String::new(), |r| format!(", {:.2} % left out", 100.0 * r));
+        let bounces = summary.series.len() - 1;
+        let left = match summary.remainder {
+            Some(remainder) => format!(", {:.2} % left out", 100.0 * remainder),
+            None if bounces > 0 => ", not converged".to_owned(),
+            None => String::new(),
+        };
         format!(
-            "{}, {}: {width} × {height}, {} texels, {} bounces{left}",
+            "{}, {}: {width} × {height}, {} texels, {bounces} bounces{left}",
             summary.output.display(),
             summary.scene.display(),
             summary.texels,
-            summary.series.len() - 1
         )
     })
 }
