@@ -30,6 +30,17 @@ use crate::surface::{Hit, SurfacePoint};
 /// Points per texel and axis at which materials are looked up: images are finer than lightmaps.
 const LOOKUPS: usize = 2;
 
+/// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only add gloss
+/// do not matter to what is Lambertian.
+const LIGHTING: [geometry::Ignored; 6] = [
+    ("KHR_materials_pbrSpecularGlossiness", "its colours are left out: convert materials to metallic-roughness"),
+    ("KHR_materials_unlit", "such surfaces take light, reflect it and cast shadows: leave out those that must not"),
+    ("KHR_materials_transmission", "no light passes: leave out panes that must not cast shadows"),
+    ("KHR_materials_diffuse_transmission", "no light passes"),
+    ("EXT_lights_image_based", "it does not shine: give the image as --environment"),
+    ("EXT_lights_ies", "lamps shine without their profiles"),
+];
+
 /// One primitive of the scene, placed in the world.
 pub(crate) struct Part {
     pub positions: Vec<Vec3>,
@@ -79,6 +90,8 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
     let path = path.as_ref();
     let Contents { document, buffers } = geometry::load(path)?;
     geometry::left_out(path, &document).iter().for_each(|warning| progress.warn(warning));
+    let extensions = [&geometry::PLACING[..], &LIGHTING].concat();
+    geometry::ignored(path, &document, &extensions).iter().for_each(|warning| progress.warn(warning));
     let tinted = |primitive: &gltf::Primitive| primitive.get(&Semantic::Colors(0)).is_some();
     let tinted = document.meshes().flat_map(|mesh| mesh.primitives()).filter(tinted).count();
     if tinted > 0 {

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use super::{Bounces, irradiance, read_gltf, write_lightmapped_glb};
 use crate::backend::Gather;
 use crate::bake::{Quality, Texels, Workspace};
+use crate::capture::tests::Warnings;
 use crate::checkpoint::Checkpoints;
 use crate::cpu::CpuBackend;
 use crate::image_io::encode_png;
@@ -278,4 +279,55 @@ fn bounces_that_do_not_end_are_told_with_the_materials_to_blame() {
     // Negative controls: what was asked for, and what converged.
     assert_eq!(told(grey(0.96), 8, true), None);
     assert_eq!(told(grey(0.5), 64, false), None);
+}
+
+#[test]
+fn extensions_that_matter_are_told_and_others_are_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let read = |used: &[&str], required: &[&str]| {
+        let more = json!({ "extensionsUsed": used, "extensionsRequired": required });
+        let (source, told) = (write_squares(folder.path(), &[(&[set(1.0, 0.0)], None)], more), Warnings::default());
+        let error = read_gltf(source, 16, &told).err().map(|e| e.to_string());
+        (told.all(), error)
+    };
+    let harmless = ["KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_ior", "KHR_materials_clearcoat"];
+    assert_eq!(read(&harmless, &["KHR_texture_transform"]), (vec![], None));
+    let matter = ["EXT_mesh_gpu_instancing", "KHR_materials_ior", "KHR_materials_pbrSpecularGlossiness"];
+    let (told, error) = read(&matter, &[]);
+    let [warning] = &told[..] else { panic!("one warning, not {told:?}") };
+    assert!(
+        warning.contains("scene.gltf: ") && warning.contains(matter[0]) && warning.contains(matter[2]),
+        "{warning}"
+    );
+    assert!(!warning.contains("ior") && error.is_none(), "{warning}");
+    let advice = [
+        ("KHR_draco_mesh_compression", "without compression"),
+        ("EXT_texture_webp", "PNG or JPEG"),
+        ("EXT_mesh_gpu_instancing", "every instance"),
+        ("EXT_unheard_of", "export without it"),
+    ];
+    for (extension, word) in advice {
+        let (_, error) = read(&[extension], &[extension]);
+        let error = error.unwrap();
+        assert!(["scene.gltf: ", extension, word].iter().all(|part| error.contains(part)), "{error}");
+    }
+}
+
+#[test]
+fn primitives_that_lack_their_textures_coordinates_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let read = |sets: &[Uvs]| {
+        let texture = json!({ "index": 0, "texCoord": 2 });
+        let more = json!({
+            "images": [{ "uri": png() }], "textures": [{ "source": 0 }],
+            "materials": [{ "pbrMetallicRoughness": { "baseColorTexture": texture } }],
+        });
+        let (source, told) =
+            (write_squares(folder.path(), &[(sets, Some(0)), (sets, None)], more), Warnings::default());
+        read_gltf(source, 16, &told).unwrap();
+        told.all()
+    };
+    let told = read(&[set(1.0, 0.0); 2]);
+    assert!(told.len() == 1 && told[0].contains("scene.gltf: 1 primitives have no TEXCOORD_2"), "{told:?}");
+    assert_eq!(read(&[set(1.0, 0.0); 3]), Vec::<String>::new());
 }

@@ -9,6 +9,7 @@ use gltf::buffer::Data;
 use gltf::material::AlphaMode;
 use gltf::mesh::Mode;
 use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic};
+use gltf_json::extensions::ENABLED_EXTENSIONS;
 use gltf_json::validation::Checked;
 
 use super::{RawMesh, cannot_read};
@@ -38,7 +39,8 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
             format!("POSITION is accessor {index}; expected one of the {count}: is it damaged?"),
         ));
     }
-    // So does its reader of images.
+    check_required(path, &root.extensions_required)?;
+    // The validation takes for granted as well that images are whole.
     let whole =
         |image: &gltf_json::Image| image.uri.is_some() || (image.buffer_view.is_some() && image.mime_type.is_some());
     if let Some(index) = root.images.iter().position(|image| !whole(image)) {
@@ -46,6 +48,32 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     }
     let document = Document::from_json(root).map_err(|e| cannot_read(path, e))?;
     Ok(Gltf { document, blob })
+}
+
+/// An error where the file says that it cannot be read without what texir does not know.
+fn check_required(path: &Path, required: &[String]) -> Result<()> {
+    let unknown = required.iter().filter(|name| !ENABLED_EXTENSIONS.contains(&name.as_str()));
+    let unknown: Vec<_> = unknown.map(|name| format!("{name} ({})", without(name))).collect();
+    if unknown.is_empty() {
+        return Ok(());
+    }
+    Err(Error::file(path, format!("extensionsRequired asks for what texir does not read: {}", unknown.join(", "))))
+}
+
+/// How to export a scene without an extension.
+fn without(extension: &str) -> &'static str {
+    match extension {
+        "KHR_draco_mesh_compression" | "EXT_meshopt_compression" | "KHR_meshopt_compression" => {
+            "export without compression"
+        }
+        "KHR_mesh_quantization" => "export without quantization",
+        "KHR_texture_basisu" | "EXT_texture_webp" | "EXT_texture_avif" | "MSFT_texture_dds" => {
+            "export textures as PNG or JPEG"
+        }
+        "EXT_mesh_gpu_instancing" => "export every instance as a node",
+        "KHR_materials_pbrSpecularGlossiness" => "convert materials to metallic-roughness",
+        _ => "export without it",
+    }
 }
 
 /// A glTF or GLB with its buffers.
@@ -89,6 +117,7 @@ pub(crate) fn for_each_node(
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
     let Contents { document, buffers } = load(path)?;
     let mut raw = RawMesh { warnings: left_out(path, &document), ..RawMesh::default() };
+    raw.warnings.extend(ignored(path, &document, &PLACING));
     for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             let place = format!("primitive {} of node {}", primitive.index(), node.index());
@@ -142,6 +171,23 @@ pub(crate) fn left_out(path: &Path, document: &Document) -> Vec<String> {
     .filter(|(count, _)| *count > 0)
     .map(|(count, what)| format!("{}: {count} {what}", path.display()))
     .collect()
+}
+
+/// An extension that is not taken into account, and what that means.
+pub(crate) type Ignored = (&'static str, &'static str);
+
+/// Extensions that say where surfaces are.
+pub(crate) const PLACING: [Ignored; 2] = [
+    ("EXT_mesh_gpu_instancing", "a mesh stands once where its node is: export every instance as a node"),
+    ("KHR_node_visibility", "hidden nodes count as visible: leave them out of the file"),
+];
+
+/// What to tell the user where the file uses some of the `extensions`.
+pub(crate) fn ignored(path: &Path, document: &Document, extensions: &[Ignored]) -> Option<String> {
+    let used = extensions.iter().filter(|(name, _)| document.extensions_used().any(|used| used == *name));
+    let used: Vec<_> = used.map(|(name, what)| format!("{name} ({what})")).collect();
+    (!used.is_empty())
+        .then(|| format!("{}: extensions are not taken into account: {}", path.display(), used.join(", ")))
 }
 
 /// Reads a primitive of triangles; `None` for points and lines.
