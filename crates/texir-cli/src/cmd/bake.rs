@@ -90,7 +90,7 @@ enum Engine {
     Unity,
     /// E, for `lightMap`
     Three,
-    /// E, attached to the GLB as MOZ_lightmap (Hubs)
+    /// E, attached to the GLB of an authored scene as MOZ_lightmap (Hubs)
     Moz,
 }
 
@@ -129,6 +129,12 @@ impl Bake {
                 "{option} is for authored scenes alone; a capture's HDR texture has all its light"
             ))
             .help("leave it out"));
+        }
+        if matches!(self.profile, Some(Engine::Moz)) {
+            return Err(Failure::new(
+                "--profile moz attaches the map to the .glb of an authored scene; of captures and with --tbl, none is written",
+            )
+            .help("leave it out: a texel holds the same without it; or bake the .glb of the fit"));
         }
         let (scene, given) = self.load(session)?;
         let mut backend = device::open(&scene, session.config, session.console)?;

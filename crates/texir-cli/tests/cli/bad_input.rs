@@ -172,11 +172,12 @@ fn options_that_would_do_nothing() {
     let capture = Capture::new();
     let (input, out) = (capture.path(), capture.out("out.exr"));
     let texture = capture.file("mesh.obj");
-    let cases: [(&str, &str, &OsStr); 4] = [
+    let cases: [(&str, &str, &OsStr); 5] = [
         ("tbl", "--tbl", texture.as_os_str()),
         ("bake", "--bounces", "2".as_ref()),
         ("bake", "--tolerance", "0.1".as_ref()),
         ("bake", "--environment", texture.as_os_str()),
+        ("bake", "--profile", "moz".as_ref()),
     ];
     for (command, option, value) in cases {
         let how = [command.as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str(), option.as_ref(), value];
