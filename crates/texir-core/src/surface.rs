@@ -71,6 +71,16 @@ impl SurfacePoint {
         let position = offset_origin(a * w + b * hit.u + c * hit.v, face);
         Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), sequence: 0 }
     }
+
+    /// The same place of the surface from its other side.
+    pub fn behind(&self, mesh: &Mesh) -> Self {
+        let normal = Vec3::from(self.normal);
+        let face = mesh.face_normal(self.triangle);
+        let away = if face.dot(normal) < 0.0 { face } else { -face };
+        // Onto the surface, and off it again.
+        let position = offset_origin(offset_origin(self.position.into(), away), away);
+        Self { position: position.to_array(), normal: (-normal).to_array(), ..*self }
+    }
 }
 
 /// Moves a ray origin off its surface by a few units in the last place, so that the ray does not meet the surface that it

@@ -62,6 +62,7 @@ struct Shading {
     name: String,
     albedo: Colour,
     emission: Colour,
+    double_sided: bool,
 }
 
 /// A scene as its file describes it, with the coordinates of its lightmap.
@@ -195,12 +196,26 @@ impl Model {
     }
 
     /// Names of the materials in the scene that reflect at least a `share` of the light in some channel, on average.
-    pub(super) fn reflecting(&self, share: f32) -> Vec<&str> {
+    pub(super) fn reflecting(&self, share: f32) -> Vec<String> {
         let used: BTreeSet<usize> = self.parts.iter().map(|part| self.shading_of(part)).collect();
         let used = used.into_iter().map(|shading| &self.shading[shading]);
         used.filter(|shading| shading.albedo.mean(&self.images).max_element() >= share)
-            .map(|s| s.name.as_str())
+            .map(|s| s.name.clone())
             .collect()
+    }
+
+    /// Whether engines show a part from behind as well.
+    pub(super) fn is_double_sided(&self, part: &Part) -> bool {
+        self.shading[self.shading_of(part)].double_sided
+    }
+
+    /// The index of every part's first triangle.
+    pub(super) fn first_triangles(&self) -> impl Iterator<Item = usize> {
+        self.parts.iter().scan(0, |next, part| {
+            let first = *next;
+            *next += part.triangles.len();
+            Some(first)
+        })
     }
 
     /// The place of a part's material in `shading`.
@@ -289,13 +304,14 @@ fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
             name,
             albedo: Colour { factor: Vec3::new(r, g, b), texture: texture(base.base_color_texture()) },
             emission: Colour { factor: emitted, texture: texture(material.emissive_texture()) },
+            double_sided: material.double_sided(),
         })
     };
     let white = Colour { factor: Vec3::ONE, texture: None };
     let black = Colour { factor: Vec3::ZERO, texture: None };
     let mut all: Vec<Shading> = document.materials().map(of).collect::<Result<_>>()?;
     let name = "glTF's default (of primitives without a material)".to_owned();
-    all.push(Shading { name, albedo: white, emission: black });
+    all.push(Shading { name, albedo: white, emission: black, double_sided: false });
     Ok(all)
 }
 

@@ -18,16 +18,29 @@ mod solve;
 #[cfg(test)]
 mod tests;
 mod texture;
+mod unlit;
 
 pub use self::export::write_lightmapped_glb;
 pub use self::gltf::{Model, read_gltf};
 pub use self::solve::{Bounces, Solved, irradiance};
+pub use self::unlit::unlit;
 use crate::bake::{self, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
+
+/// Names in one message.
+const NAMED: usize = 5;
+
+/// The first of some names, and how many more there are.
+fn listed(names: &[String]) -> String {
+    match names.split_at_checked(NAMED) {
+        Some((first, more @ [_, ..])) => format!("{} and {} more", first.join(", "), more.len()),
+        _ => names.join(", "),
+    }
+}
 
 /// What an authored scene emits and reflects, per texel of the lightmap, and the light that is not on its surfaces.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@
 use std::f32::consts::PI;
 use std::ops::Range;
 
-use super::{Model, Surfaces};
+use super::{Model, Surfaces, listed};
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
@@ -26,9 +26,6 @@ const STEADY: f64 = 0.99;
 
 /// Materials that reflect this much are named where bounces do not end.
 const NEARLY_WHITE: f32 = 0.95;
-
-/// Names in one message.
-const NAMED: usize = 5;
 
 /// When to stop bouncing, and how to gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,12 +79,8 @@ impl Solved {
 }
 
 /// What to do about materials by their names.
-fn darken(white: &[&str]) -> String {
-    let names = match white.len() {
-        0 => "surfaces".to_owned(),
-        n if n > NAMED => format!("{} and {} more materials", white[..NAMED].join(", "), n - NAMED),
-        _ => white.join(", "),
-    };
+fn darken(white: &[String]) -> String {
+    let names = if white.is_empty() { "surfaces".to_owned() } else { listed(white) };
     format!("{names} reflect nearly all light: give them a darker base colour (white paint reflects 0.8)")
 }
 
@@ -166,16 +159,21 @@ impl Solver<'_> {
         // Variance in proportion to the light that a bounce brings: that of the sum is then at most `error` squared.
         let error = error.map(|error| error / share.clamp(f64::MIN_POSITIVE, 1.0).sqrt() as f32);
         let quality = Quality { gather, error, denoise };
-        let mut lights = Finder::new(self.scene, tbl, self.texels.valid());
-        self.texels.points().try_for_each(|points| points.map(|points| lights.take(&points)))?;
-        self.backend.set_tbl(tbl, &lights.find())?;
+        set_tbl(self.backend, self.scene, self.texels, tbl)?;
         let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
         bake::solve(self.backend, &self.scene.mesh, self.texels, &quality, &checkpoints, self.progress)
     }
 }
 
+/// Gives the backend a map of radiance, and the lights in it.
+pub(super) fn set_tbl(backend: &mut dyn Backend, scene: &Scene, texels: &Texels<'_>, tbl: &Rgb) -> Result<()> {
+    let mut lights = Finder::new(scene, tbl, texels.valid());
+    texels.points().try_for_each(|points| points.map(|points| lights.take(&points)))?;
+    backend.set_tbl(tbl, &lights.find())
+}
+
 /// Outgoing radiance of Lambertian surfaces: albedo/π · E, of which `irradiance` tells some rows.
-fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Result<Vec<[f32; 3]>>) -> Result<Rgb> {
+pub(super) fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Result<Vec<[f32; 3]>>) -> Result<Rgb> {
     let mut sent = Rgb { width: albedo.width, height: albedo.height, data: Vec::with_capacity(albedo.data.len()) };
     for rows in bands(albedo.width, albedo.height, BAND) {
         let albedo = &albedo.data[rows.start * albedo.width..];

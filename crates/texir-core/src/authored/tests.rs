@@ -8,7 +8,7 @@ use glam::{Mat4, Vec3};
 use gltf::binary::Glb;
 use serde_json::{Value, json};
 
-use super::{Bounces, irradiance, read_gltf, write_lightmapped_glb};
+use super::{Bounces, irradiance, read_gltf, unlit, write_lightmapped_glb};
 use crate::backend::Gather;
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
@@ -228,27 +228,43 @@ fn images_of_the_baked_scene_have_their_own_type() {
     assert_eq!(types, expected);
 }
 
-/// A closed box of unit squares that face inwards, of one material or none, around a lamp.
-fn write_box(folder: &Path, material: Option<Value>) -> PathBuf {
-    let half = std::f32::consts::FRAC_PI_2;
-    let turns = (0..4).map(|k| Mat4::from_rotation_x(k as f32 * half)).chain([-half, half].map(Mat4::from_rotation_z));
-    let about = Vec3::splat(0.5);
-    let placed = turns.map(|turn| Mat4::from_translation(about) * turn * Mat4::from_translation(-about));
-    let mut nodes: Vec<Value> = placed.map(|place| json!({ "mesh": 0, "matrix": place.to_cols_array() })).collect();
-    nodes.push(json!({ "translation": about.to_array(), "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
+/// Places squares, the given one under each transform, and a lamp; `materials` by square.
+fn write_lit(folder: &Path, placed: &[(usize, Mat4)], lamp: Vec3, materials: Vec<Option<Value>>) -> PathBuf {
+    let mut nodes: Vec<Value> =
+        placed.iter().map(|(square, place)| json!({ "mesh": square, "matrix": place.to_cols_array() })).collect();
+    nodes.push(json!({ "translation": lamp.to_array(), "extensions": { "KHR_lights_punctual": { "light": 0 } } }));
+    let squares: Vec<(&[Uvs], _)> =
+        materials.iter().enumerate().map(|(i, m)| (&[][..], m.as_ref().map(|_| i))).collect();
     let more = json!({
         "extensionsUsed": ["KHR_lights_punctual"],
         "extensions": { "KHR_lights_punctual": { "lights": [{ "type": "point", "intensity": 10.0 }] } },
-        "materials": material.iter().collect::<Vec<_>>(),
+        "materials": materials.iter().map(|m| m.clone().unwrap_or(json!({}))).collect::<Vec<_>>(),
         "scenes": [{ "nodes": (0..nodes.len()).collect::<Vec<_>>() }], "nodes": nodes,
     });
-    write_squares(folder, &[(&[], material.map(|_| 0))], more)
+    write_squares(folder, &squares, more)
 }
 
-/// What the user is told after so many bounces in a box, which were asked for or not.
-fn told(material: Option<Value>, most: u32, asked: bool) -> Option<String> {
-    let folder = tempfile::tempdir().unwrap();
-    let model = read_gltf(write_box(folder.path(), material), 32, &Silent).unwrap();
+/// Turns about the centre of a unit box that put its floor at each of its sides.
+fn sides() -> impl Iterator<Item = Mat4> {
+    let half = std::f32::consts::FRAC_PI_2;
+    let turns = (0..4).map(move |k| Mat4::from_rotation_x(k as f32 * half));
+    turns.chain([-half, half].map(Mat4::from_rotation_z)).map(|turn| about(Vec3::splat(0.5), turn))
+}
+
+/// A turn about a place.
+fn about(place: Vec3, turn: Mat4) -> Mat4 {
+    Mat4::from_translation(place) * turn * Mat4::from_translation(-place)
+}
+
+/// Turns the lowest square over.
+fn over() -> Mat4 {
+    about(Vec3::new(0.5, 0.0, 0.5), Mat4::from_rotation_x(std::f32::consts::PI))
+}
+
+/// What users are told of a scene after at most so many bounces, which were asked for or not: of bounces, and of light that does
+/// not arrive.
+fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
+    let model = read_gltf(source, 32, &Silent).unwrap();
     let scene = Scene::new(model.mesh.clone()).unwrap();
     let mut backend = CpuBackend::new(&scene);
     let texels = Texels::map(&mut backend, &scene, model.size, Workspace::Memory, &Silent).unwrap();
@@ -256,11 +272,20 @@ fn told(material: Option<Value>, most: u32, asked: bool) -> Option<String> {
     let quality = Quality { gather: Gather::new(16, 0, 1), error: None, denoise: None };
     let bounces = Bounces { quality, tolerance: 0.005, most };
     let solved = irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
-    solved.unfinished(&model, bounces.tolerance, asked)
+    let unlit = unlit(&mut backend, &scene, &model, &texels, &surfaces, &solved.solution, &Silent).unwrap();
+    [solved.unfinished(&model, bounces.tolerance, asked), unlit]
 }
 
 #[test]
 fn bounces_that_do_not_end_are_told_with_the_materials_to_blame() {
+    // A closed room around a lamp.
+    let told = |material: Option<Value>, most: u32, asked: bool| {
+        let folder = tempfile::tempdir().unwrap();
+        let room: Vec<_> = sides().map(|side| (0, side)).collect();
+        let [unfinished, unlit] = told(write_lit(folder.path(), &room, Vec3::splat(0.5), vec![material]), most, asked);
+        assert_eq!(unlit, None);
+        unfinished
+    };
     let grey = |v: f32| Some(json!({ "name": "wall", "pbrMetallicRoughness": { "baseColorFactor": [v, v, v, 1.0] } }));
     for asked in [false, true] {
         let white = told(None, 8, asked).unwrap();
@@ -330,4 +355,38 @@ fn primitives_that_lack_their_textures_coordinates_are_told() {
     let told = read(&[set(1.0, 0.0); 2]);
     assert!(told.len() == 1 && told[0].contains("scene.gltf: 1 primitives have no TEXCOORD_2"), "{told:?}");
     assert_eq!(read(&[set(1.0, 0.0); 3]), Vec::<String>::new());
+}
+
+#[test]
+fn fronts_without_light_are_told_where_their_backs_have_it() {
+    let material = |double_sided: bool| {
+        let base = json!({ "baseColorFactor": [0.5, 0.5, 0.5, 1.0] });
+        Some(json!({ "pbrMetallicRoughness": base, "doubleSided": double_sided }))
+    };
+    let told = |placed: &[(usize, Mat4)], lamp: Vec3, double_sided: bool| {
+        let folder = tempfile::tempdir().unwrap();
+        let source = write_lit(folder.path(), placed, lamp, vec![material(double_sided); 2]);
+        let [_, unlit] = told(source, 64, false);
+        unlit
+    };
+    let (floor, within, above) = ((0, Mat4::IDENTITY), Vec3::splat(0.5), Vec3::new(0.4, 2.0, 0.6));
+    // The second square lies a metre above the first, and faces up.
+    let ceiling = |turn: Mat4| (1, Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y));
+    let upside_down = told(&[floor, ceiling(Mat4::IDENTITY)], within, true).unwrap();
+    assert!(upside_down.starts_with("1 double-sided") && upside_down.contains("\"node 1\""), "{upside_down}");
+    assert!(!upside_down.contains("node 0"), "{upside_down}");
+    // Negative controls: it is seen from its front alone, it faces down, it is lit where it faces.
+    assert_eq!(told(&[floor, ceiling(Mat4::IDENTITY)], within, false), None);
+    assert_eq!(told(&[floor, ceiling(over())], within, true), None);
+    assert_eq!(told(&[floor, ceiling(Mat4::IDENTITY)], above, true), None);
+    // Rooms and solid things are dark on some of their fronts, but nobody looks from inside of the latter.
+    let room: Vec<_> = sides().map(|side| (0, side)).collect();
+    assert_eq!(told(&room, within, true), None);
+    let cube: Vec<_> = sides().map(|side| (0, side * over())).collect();
+    assert_eq!(told(&cube, above, true), None);
+    // A room that is inside out.
+    for double_sided in [false, true] {
+        let black = told(&cube, within, double_sided).unwrap();
+        assert!(black.contains("no light arrives at any surface"), "{black}");
+    }
 }

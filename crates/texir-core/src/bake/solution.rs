@@ -63,6 +63,18 @@ impl Solution {
         self.seen.pieces(PIECE).map(|seen| Ok(seen?.iter().filter(|seen| **seen == 0).count())).sum()
     }
 
+    /// Goes through all texels: their points, irradiance, and whether they lie outside other geometry.
+    pub(crate) fn each(&self, texels: &Texels<'_>, mut visit: impl FnMut(&SurfacePoint, [f32; 3], bool)) -> Result<()> {
+        for items in texels.pieces() {
+            let (points, irradiance) = (texels.points.get(&items)?, self.irradiance.get(&items)?);
+            let seen = self.seen.get(&items)?;
+            for ((point, irradiance), seen) in points.iter().zip(irradiance.iter()).zip(seen.iter()) {
+                visit(point, *irradiance, *seen != 0);
+            }
+        }
+        Ok(())
+    }
+
     /// The same once more.
     pub(crate) fn copy(&self, texels: &Texels<'_>) -> Result<Self> {
         let mut copy = Self {

@@ -105,10 +105,13 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
     let solved =
         authored::irradiance(backend.as_mut(), &scene, &texels, &surfaces, &bounces, &checkpoints, session.console)?;
-    drop(surfaces);
-    if let Some(warning) = solved.unfinished(&model, tolerance, options.bounces.is_some()) {
-        session.console.warn(&format!("{}: {warning}", bake.input.display()));
+    let unfinished = solved.unfinished(&model, tolerance, options.bounces.is_some());
+    let (baked, console) = (&solved.solution, session.console);
+    let unlit = authored::unlit(backend.as_mut(), &scene, &model, &texels, &surfaces, baked, console)?;
+    for warning in unfinished.iter().chain(&unlit) {
+        console.warn(&format!("{}: {warning}", bake.input.display()));
     }
+    drop(surfaces);
     bake.write(&solved.solution, &texels, session)?;
     let attached = match bake.profile() {
         moz @ Profile::Moz => Some(moz.lightmap(&solved.solution.map(&texels, bake.buried())?)),

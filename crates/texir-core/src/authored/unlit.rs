@@ -1,0 +1,144 @@
+//! Light that does not arrive where it is looked for: at the fronts of faces, which are what a lightmap holds.
+
+use super::solve::{reflected, set_tbl};
+use super::{Model, Surfaces, listed};
+use crate::backend::{Backend, Gather, Gathered};
+use crate::bake::{Solution, Texels};
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::raster::luminance;
+use crate::scene::Scene;
+use crate::surface::SurfacePoint;
+
+/// Texels that are looked at per primitive, and of all primitives together.
+const PER_PRIMITIVE: usize = 64;
+const OF_ALL: usize = 1 << 16;
+/// How they are looked at from behind.
+const GATHER: Gather = Gather::new(16, 16, 1);
+/// A front is dark below this share of the scene's mean irradiance, a back is lit above that.
+const DARK: f32 = 0.01;
+const LIT: f32 = 0.1;
+/// Behind a face is inside of something where this share of the rays meets backs: nobody looks from there.
+const INSIDE: f32 = 0.25;
+/// A primitive is told of when this share of it is lit from behind alone.
+const SHARE: f32 = 0.1;
+
+/// What to tell the user of a `solution` that is black, or of double-sided materials whose light is behind them.
+///
+/// Replaces the backend's TBL and environment.
+pub fn unlit(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    model: &Model,
+    texels: &Texels<'_>,
+    surfaces: &Surfaces,
+    solution: &Solution,
+    progress: &dyn Progress,
+) -> Result<Option<String>> {
+    let mean = solution.mean(texels, solution)? as f32;
+    if mean == 0.0 {
+        return Ok(Some(
+            "no light arrives at any surface, and the map is black: only the front of a face is lit, from where its corners run \
+             counter-clockwise; turn faces that are seen from behind around, and check where the lights are"
+                .to_owned(),
+        ));
+    }
+    let (points, mut parts) = dark_fronts(model, texels, solution, DARK * mean)?;
+    if points.is_empty() {
+        return Ok(None);
+    }
+    let behind: Vec<SurfacePoint> = points.iter().map(|(_, point)| point.behind(&scene.mesh)).collect();
+    let light = light_at(backend, scene, texels, surfaces, solution, &behind, progress)?;
+    points.iter().zip(light).for_each(|((part, _), light)| parts[*part].lit += usize::from(light >= LIT * mean));
+    Ok(parts_lit_from_behind(model, &parts))
+}
+
+/// What was looked at of a primitive.
+#[derive(Clone, Copy, Default)]
+struct Looked {
+    texels: usize,
+    /// Those that are dark in front and lit behind.
+    lit: usize,
+}
+
+/// Texels of double-sided primitives, some of each, that have less irradiance than `dark`, with the index of their primitive; and
+/// how many of each were looked at.
+fn dark_fronts(
+    model: &Model,
+    texels: &Texels<'_>,
+    solution: &Solution,
+    dark: f32,
+) -> Result<(Vec<(usize, SurfacePoint)>, Vec<Looked>)> {
+    let double: Vec<bool> = model.parts.iter().map(|part| model.is_double_sided(part)).collect();
+    let (mut points, mut looked) = (Vec::new(), vec![Looked::default(); double.len()]);
+    if !double.contains(&true) {
+        return Ok((points, looked));
+    }
+    let each = (OF_ALL / double.iter().filter(|double| **double).count().max(1)).clamp(1, PER_PRIMITIVE);
+    let firsts: Vec<usize> = model.first_triangles().collect();
+    let part_of = |point: &SurfacePoint| firsts.partition_point(|first| *first <= point.triangle as usize) - 1;
+    let mut counts = vec![0; double.len()];
+    solution.each(texels, |point, _, _| counts[part_of(point)] += 1)?;
+    // Odd, so that it does not go down one column of a chart.
+    let stride = |count: usize| (count / each).max(1) | 1;
+    let mut passed = vec![0; double.len()];
+    solution.each(texels, |point, irradiance, seen| {
+        let part = part_of(point);
+        let chosen = double[part] && passed[part] % stride(counts[part]) == 0;
+        passed[part] += 1;
+        looked[part].texels += usize::from(chosen);
+        if chosen && seen && luminance(&irradiance) < dark {
+            points.push((part, *point));
+        }
+    })?;
+    Ok((points, looked))
+}
+
+/// The luminance of irradiance at points from surfaces and lamps, 0 inside objects. What is beyond the scene has no say: it is below
+/// every floor as well.
+fn light_at(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    texels: &Texels<'_>,
+    surfaces: &Surfaces,
+    solution: &Solution,
+    points: &[SurfacePoint],
+    progress: &dyn Progress,
+) -> Result<Vec<f32>> {
+    let mut sent = reflected(&surfaces.albedo, |rows| solution.seen_rows(texels, solution, rows))?;
+    sent.data.iter_mut().zip(&surfaces.emission.data).for_each(|(sent, own)| (0..3).for_each(|c| sent[c] += own[c]));
+    backend.set_environment(None)?;
+    set_tbl(backend, scene, texels, &sent)?;
+    let per_point = u64::from(GATHER.cosine + GATHER.light) + surfaces.lights.len() as u64;
+    progress.start("backs of double-sided surfaces", points.len() as u64 * per_point, "rays");
+    let gathered = backend.irradiance(points, GATHER, progress)?;
+    let direct = match &surfaces.lights[..] {
+        [] => vec![[0.0; 3]; points.len()],
+        lights => backend.punctual(points, lights, progress)?,
+    };
+    progress.finish();
+    let all = |(gathered, direct): (&Gathered, &[f32; 3])| {
+        if gathered.back_faces < INSIDE { luminance(&gathered.irradiance) + luminance(direct) } else { 0.0 }
+    };
+    Ok(gathered.iter().zip(&direct).map(all).collect())
+}
+
+/// What to tell the user of primitives after they were looked at.
+fn parts_lit_from_behind(model: &Model, parts: &[Looked]) -> Option<String> {
+    let told = |looked: &Looked| looked.lit > 0 && looked.lit as f32 >= SHARE * looked.texels as f32;
+    let names: Vec<String> = model
+        .parts
+        .iter()
+        .zip(parts)
+        .filter(|(_, looked)| told(looked))
+        .map(|(part, _)| format!("\"{}\"", part.name))
+        .collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "{} double-sided surfaces are lit from behind, where only the light of their fronts is baked, so that they are black: \
+             {}; turn their faces around",
+            names.len(),
+            listed(&names)
+        )
+    })
+}
