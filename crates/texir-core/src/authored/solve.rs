@@ -80,8 +80,8 @@ impl Solved {
 
 /// What to do about materials by their names.
 fn darken(white: &[String]) -> String {
-    let names = if white.is_empty() { "surfaces".to_owned() } else { listed(white) };
-    format!("{names} reflect nearly all light: give them a darker base colour (white paint reflects 0.8)")
+    let these = if white.is_empty() { "what reflects nearly all light".to_owned() } else { listed(white) };
+    format!("give {these} a darker base colour: white paint reflects 0.8")
 }
 
 /// Solves the light of a scene at `texels`, of a map whose size the maps of `surfaces` have.

@@ -135,7 +135,7 @@ fn parts_lit_from_behind(model: &Model, parts: &[Looked]) -> Option<String> {
         .collect();
     (!names.is_empty()).then(|| {
         format!(
-            "{} double-sided surfaces are lit from behind, where only the light of their fronts is baked, so that they are black: \
+            "double-sided surfaces ({}) are lit from behind, where only the light of their fronts is baked, so that they are black: \
              {}; turn their faces around",
             names.len(),
             listed(&names)
