@@ -7,12 +7,13 @@ use std::path::Path;
 use exr::block::writer::ChunksWriter;
 use exr::block::{BlockIndex, UncompressedBlock};
 use exr::meta::BlockDescription;
-use exr::meta::attribute::{ChannelDescription, SampleType, Text};
+use exr::meta::attribute::{ChannelDescription, Chromaticities, SampleType, Text};
 use exr::meta::header::Header;
 use exr::prelude::{Encoding, FlatImage, FlatSamples, LayerAttributes, MetaData, ReadChannels, ReadLayers, Vec2, read};
+use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Rows, bytes_of, cannot_read, check_size, most_memory};
+use super::{Rows, bytes_of, cannot_read, check_size, most_memory, primaries};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
@@ -60,8 +61,9 @@ pub(super) fn check_whole(path: &Path) -> std::result::Result<(), String> {
     blocks.and_then(|mut blocks| blocks.try_for_each(|block| block.map(drop))).map_err(|e| e.to_string())
 }
 
+/// Linear RGB of Rec. 709: colours of other primaries, where the header says so, are converted, and may come out negative.
 pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {
-    read_channels(path, "channels R, G and B, or Y", |names| {
+    let Picked { mut raster, channels, chromaticities } = read_channels(path, "channels R, G and B, or Y", |names| {
         let find = |name: &str| names.iter().position(|n| n == name);
         if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
             return Some([r, g, b]);
@@ -74,7 +76,16 @@ pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {
             let layer = name.strip_suffix(".R")?;
             Some([r, find(&format!("{layer}.G"))?, find(&format!("{layer}.B"))?])
         })
-    })
+    })?;
+    // Y alone is as white as the file's white.
+    let is_colour = channels[0] != channels[1];
+    if let Some(chromaticities) = chromaticities.filter(|_| is_colour)
+        && let Some(to_rec_709) = primaries::to_rec_709(&chromaticities).map_err(|what| Error::file(path, what))?
+    {
+        let convert = |rgb: [f32; 3]| (to_rec_709 * Vec3::from(rgb).as_dvec3()).as_vec3().to_array();
+        raster.data.par_iter_mut().for_each(|rgb| *rgb = convert(*rgb));
+    }
+    Ok(raster)
 }
 
 pub(super) fn read_gray(path: &Path) -> Result<Gray> {
@@ -84,7 +95,16 @@ pub(super) fn read_gray(path: &Path) -> Result<Gray> {
         let only = (names.len() == 1).then_some(0);
         only.or_else(|| find("Y")).or_else(|| find("R")).map(|i| [i])
     })?;
-    Ok(gray.map(|[v]| *v))
+    Ok(gray.raster.map(|[v]| *v))
+}
+
+/// What [`read_channels`] found.
+struct Picked<const N: usize> {
+    raster: Raster<[f32; N]>,
+    /// The channels' places in their layer.
+    channels: [usize; N],
+    /// Of which primaries R, G and B are.
+    chromaticities: Option<Chromaticities>,
 }
 
 /// The channels that `select` picks by name from the first layer that has them, placed in the display window: pixels
@@ -93,7 +113,7 @@ fn read_channels<const N: usize>(
     path: &Path,
     expected: &str,
     select: impl Fn(&[String]) -> Option<[usize; N]>,
-) -> Result<Raster<[f32; N]>> {
+) -> Result<Picked<N>> {
     let image: FlatImage = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -131,7 +151,7 @@ fn read_channels<const N: usize>(
                 *pixel = planes.map(|plane| sample(&plane.sample_data, index));
             }
         }
-        return Ok(raster);
+        return Ok(Picked { raster, channels: picked, chromaticities: image.attributes.chromaticities });
     }
     Err(Error::file(path, format!("has the channels {}; expected {expected}", found.join(", "))))
 }

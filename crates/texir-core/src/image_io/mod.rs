@@ -8,6 +8,7 @@ mod exr;
 mod hdr;
 mod ktx2;
 mod png;
+mod primaries;
 mod rows;
 
 use std::fs::File;
@@ -141,8 +142,9 @@ pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
     whole.map_err(|e| Error::file(path, format!("is damaged or cut short ({e}); copy or export it again")))
 }
 
-/// Linear RGB: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone), Radiance HDR (divided by
-/// the exposure in its header, as the format asks), 32-bit float TIFF. 8-bit formats are refused: their encoding and
+/// Linear RGB of Rec. 709: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone; converted where the
+/// header has other `chromaticities`), Radiance HDR (divided by the exposure in its header, as the format asks), 32-bit float
+/// TIFF. 8-bit formats are refused: their encoding and
 /// their clipping are unknown.
 pub fn read_rgb(path: impl AsRef<Path>) -> Result<Rgb> {
     let path = path.as_ref();

@@ -1,5 +1,6 @@
 //! Round trips of what is written, foreign files made byte by byte, and every kind of bad file.
 
+use ::exr::meta::attribute::Chromaticities;
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer, LayerAttributes,
     Vec2, WritableImage, f16,
@@ -70,6 +71,49 @@ fn half_floats_alpha_and_named_layers_are_read() {
         error.contains("image.exr") && error.contains("normal.X, normal.Y") && error.contains("R, G and B"),
         "{error}"
     );
+}
+
+/// Two pixels, of which the second is white, as OpenEXR with these chromaticities.
+fn write_with_primaries(path: &Path, pixels: [[f32; 3]; 2], chromaticities: Option<Chromaticities>) {
+    let channel = |c: usize, name| AnyChannel::new(name, FlatSamples::F32(pixels.iter().map(|p| p[c]).collect()));
+    let list = [channel(0, "R"), channel(1, "G"), channel(2, "B")].into_iter().collect();
+    let layer = Layer::new((2, 1), LayerAttributes::default(), Encoding::UNCOMPRESSED, AnyChannels::sort(list));
+    let attributes = ImageAttributes { chromaticities, ..ImageAttributes::new(whole(2, 1)) };
+    Image::new(attributes, layer).write().to_file(path).unwrap();
+}
+
+#[test]
+fn colours_of_other_primaries_become_those_of_rec_709() {
+    let folder = folder();
+    let path = folder.path().join("view.exr");
+    let rec_709 = Chromaticities {
+        red: Vec2(0.64, 0.33),
+        green: Vec2(0.3, 0.6),
+        blue: Vec2(0.15, 0.06),
+        white: Vec2(0.3127, 0.329),
+    };
+    let aces = Chromaticities {
+        red: Vec2(0.7347, 0.2653),
+        green: Vec2(0.0, 1.0),
+        blue: Vec2(0.0001, -0.077),
+        white: Vec2(0.32168, 0.33767),
+    };
+    let pixels = [[0.3, 0.1, 7.7e-3], [2.0; 3]];
+    write_with_primaries(&path, pixels, Some(aces));
+    let read = read_rgb(&path).unwrap().data;
+    // 0.3 of the first column, 0.1 of the second and 0.0077 of the third of the published matrix.
+    let expected = [[0.640_109, 0.053_587, -0.010_915], [2.0; 3]];
+    for (read, expected) in read.iter().flatten().zip(expected.iter().flatten()) {
+        assert!((read - expected).abs() < 2e-5, "{read} {expected}");
+    }
+    assert_eq!(read_gray(&path).unwrap().data, [0.3, 2.0], "a channel on its own is data, no colour");
+    for same in [None, Some(rec_709)] {
+        write_with_primaries(&path, pixels, same);
+        assert_eq!(read_rgb(&path).unwrap().data, pixels);
+    }
+    write_with_primaries(&path, pixels, Some(Chromaticities { green: Vec2(0.64, 0.33), ..rec_709 }));
+    let error = message(read_rgb(&path));
+    assert!(error.contains("view.exr") && error.contains("green (0.64, 0.33)"), "{error}");
 }
 
 #[test]
