@@ -35,25 +35,33 @@ struct RawMesh {
 
 /// Reads `.obj`, `.ply`, `.glb` or `.gltf` (by extension).
 ///
-/// Triangles without area and unusable normals are repaired and reported; anything that leaves the surface or its atlas
-/// in doubt is an error: positions that are not finite, indices out of range, vertices without atlas coordinates.
+/// Triangles without area, unusable normals and single triangles without a place in the atlas are reported; anything that
+/// leaves the surface or its atlas in doubt is an error: positions that are not finite, indices out of range, no atlas at all.
 pub fn read_mesh(path: impl AsRef<Path>) -> Result<MeshFile> {
     let path = path.as_ref();
-    let (file, unplaced) = read_surface(path)?;
-    if unplaced > 0 {
+    let (mut file, unplaced) = read_surface(path)?;
+    let triangles = file.mesh.triangles.len();
+    if unplaced == triangles {
         return Err(Error::file(
             path,
             format!(
-                "{unplaced} vertices have no texture coordinates, or none that are finite; expected an atlas: every \
-                 surface at a place of its own in [0, 1]². `texir import` unwraps such meshes"
+                "has no texture coordinates, or none that are finite, on any of {triangles} triangles; expected an atlas: \
+                 every surface at a place of its own in [0, 1]². `texir import` unwraps such meshes"
             ),
+        ));
+    }
+    if unplaced > 0 {
+        file.warnings.push(format!(
+            "{}: {unplaced} of {triangles} triangles have no texture coordinates, or none that are finite: they have no texels, \
+             and look like the atlas's corner. `texir import` unwraps such meshes",
+            path.display()
         ));
     }
     Ok(file)
 }
 
-/// [`read_mesh`] for surfaces that may yet be unwrapped: how many of the file's vertices have no atlas coordinates comes
-/// along; those are at (0, 0).
+/// [`read_mesh`] for surfaces that may yet be unwrapped: how many triangles have no place in the atlas comes along; their
+/// corners are at (0, 0).
 pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
     let path = path.as_ref();
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -63,9 +71,7 @@ pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
         "glb" | "gltf" => gltf::read(path)?,
         _ => return Err(Error::file(path, "is no mesh that texir knows; expected .obj, .ply, .glb or .gltf")),
     };
-    let placed = |uv: &Option<Vec2>| uv.is_some_and(|uv| uv.is_finite());
-    let unplaced = raw.uvs.iter().filter(|uv| !placed(uv)).count();
-    let mut file = check(path, raw)?;
+    let (mut file, unplaced) = check(path, raw)?;
     file.warnings.extend(file.mesh.misplaced().map(|what| format!("{}: {what}", path.display())));
     Ok((file, unplaced))
 }
@@ -74,8 +80,9 @@ fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
     Error::file(path, format!("cannot be read: {e}"))
 }
 
-fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
-    let RawMesh { positions, mut normals, uvs, mut triangles, mut warnings } = raw;
+/// The mesh, and how many of its triangles have no place in the atlas.
+fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
+    let RawMesh { positions, mut normals, mut uvs, mut triangles, mut warnings } = raw;
     if triangles.is_empty() {
         return Err(Error::file(path, "has no triangles; expected a surface, not a point cloud or curves"));
     }
@@ -88,7 +95,6 @@ fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
             format!("triangle {t} uses vertices {:?}; expected indices below {}", triangles[t], positions.len()),
         ));
     }
-    let uvs = uvs.into_iter().map(|uv| uv.filter(|uv| uv.is_finite()).unwrap_or_default()).collect();
 
     let before = triangles.len();
     triangles.retain(|t| {
@@ -109,7 +115,12 @@ fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
     for normal in &mut normals {
         *normal = normal.and_then(|n| n.try_normalize());
     }
-    let mut mesh = Mesh { normals: Vec::with_capacity(positions.len()), positions, uvs, triangles };
+    for uv in &mut uvs {
+        *uv = uv.filter(|uv| uv.is_finite());
+    }
+    let placed = uvs.iter().map(|uv| uv.unwrap_or_default()).collect();
+    let mut mesh = Mesh { normals: Vec::with_capacity(positions.len()), positions, uvs: placed, triangles };
+    let unplaced = part_from_atlas_where_uvs_are_missing(&mut mesh, &mut normals, &uvs);
     mesh.normals.extend(normals.iter().map(|n| n.unwrap_or_default()));
     let flattened = flatten_where_normals_are_missing(&mut mesh, &normals);
     if flattened > 0 {
@@ -119,7 +130,30 @@ fn check(path: &Path, raw: RawMesh) -> Result<MeshFile> {
             mesh.triangles.len()
         ));
     }
-    Ok(MeshFile { mesh, warnings })
+    Ok((MeshFile { mesh, warnings }, unplaced))
+}
+
+/// Leaves every triangle with a place in the atlas missing without area there; returns their number. The corners that do have one
+/// would span an area with (0, 0), over that of other triangles: such triangles get three vertices of their own.
+fn part_from_atlas_where_uvs_are_missing(
+    mesh: &mut Mesh,
+    normals: &mut Vec<Option<Vec3>>,
+    uvs: &[Option<Vec2>],
+) -> usize {
+    let mut unplaced = 0;
+    for t in 0..mesh.triangles.len() {
+        let corners = mesh.triangles[t].map(|i| i as usize);
+        let missing = corners.iter().filter(|i| uvs[**i].is_none()).count();
+        unplaced += usize::from(missing > 0);
+        if (1..3).contains(&missing) {
+            let base = mesh.positions.len() as u32;
+            mesh.positions.extend(mesh.corners(t as u32));
+            mesh.uvs.extend([Vec2::ZERO; 3]);
+            normals.extend(corners.map(|i| normals[i]));
+            mesh.triangles[t] = [base, base + 1, base + 2];
+        }
+    }
+    unplaced
 }
 
 /// Gives every triangle with a normal missing three vertices of its own with the face's normal; returns their number.

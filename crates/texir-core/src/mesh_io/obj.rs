@@ -1,5 +1,7 @@
 //! Wavefront OBJ. Its v points up: flipped here, on the way in and on the way out.
 
+mod lines;
+
 use std::fs::File;
 use std::io::{BufReader, Write};
 use std::path::Path;
@@ -7,18 +9,23 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 use tobj::{LoadError, LoadOptions};
 
+use self::lines::Lines;
 use super::{RawMesh, cannot_read};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 
-/// All objects and material groups as one mesh; one vertex per distinct (position, uv, normal) triple of a group.
+/// All objects and material groups as one mesh; one vertex per distinct (position, uv, normal) triple of a group. Neighbouring
+/// faces that have the same of these make a group.
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
-    let mut file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
+    let mut lines = Lines::new(BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?));
     let options = LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
     // Materials are what texir recovers: the library that the file names is not looked for.
-    let (models, _) = tobj::load_obj_buf(&mut file, &options, |_| Ok(Default::default()))
-        .map_err(|e| Error::file(path, format!("is no valid OBJ: {}", explain(&e))))?;
+    let read = tobj::load_obj_buf(&mut lines, &options, |_| Ok(Default::default()));
+    let (models, _) = read.map_err(|e| {
+        let what = lines.wrong_index().unwrap_or_else(|| format!("line {}: {}", lines.number(), explain(&e)));
+        Error::file(path, format!("is no valid OBJ: {what}"))
+    })?;
     let mut raw = RawMesh::default();
     for model in models {
         let (mesh, base) = (model.mesh, raw.positions.len() as u32);
@@ -27,7 +34,7 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
         if mesh.texcoords.len() == 2 * vertices {
             raw.uvs.extend(mesh.texcoords.chunks_exact(2).map(|uv| Some(Vec2::new(uv[0], 1.0 - uv[1]))));
         } else {
-            // None at all, or faces with and without them: the parser does not tell which.
+            // None at all, or corners of one face with and without them: the parser does not tell which.
             raw.uvs.extend(std::iter::repeat_n(None, vertices));
         }
         if mesh.normals.len() == 3 * vertices {
@@ -46,10 +53,9 @@ fn explain(e: &LoadError) -> &'static str {
         LoadError::NormalParseError => "a `vn` line is not three numbers",
         LoadError::TexcoordParseError => "a `vt` line is not two numbers",
         LoadError::FaceParseError => "an `f` line is not a list of v, v/vt, v//vn or v/vt/vn",
-        LoadError::FaceVertexOutOfBounds => "an `f` line names a `v` that the file does not have; is it cut off?",
-        LoadError::FaceTexCoordOutOfBounds => "an `f` line names a `vt` that the file does not have; is it cut off?",
-        LoadError::FaceNormalOutOfBounds => "an `f` line names a `vn` that the file does not have; is it cut off?",
-        LoadError::InvalidPolygon => "an `f` line has too few vertices",
+        LoadError::ScalingByZeroError => "the w of a `v` line is 0",
+        LoadError::InvalidPolygon => "an `f` line up to here has no vertices",
+        LoadError::FaceColorOutOfBounds => "some of the `v` lines up to here have a colour, and some have none",
         LoadError::ReadError => "a line cannot be read as text",
         _ => "a line cannot be understood",
     }

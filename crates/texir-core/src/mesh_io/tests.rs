@@ -72,12 +72,58 @@ fn missing_normals_are_flat_and_said_so() {
     let MeshFile { mesh, warnings } = read_text("a.obj", format!("{OBJ}f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")).unwrap();
     assert_eq!(soup(&mesh), soup(&square()));
     assert!(warnings[0].contains("a.obj") && warnings[0].contains("2 of 2"), "{warnings:?}");
-    // One object with normals keeps them; the other is flat.
-    let half = format!("{OBJ}vn 1 0 0\no a\nf 1/1/2 2/2/2 3/3/2\no b\nf 1/1 3/3 4/4\n");
-    let MeshFile { mesh, warnings } = read_text("a.obj", half).unwrap();
-    assert_eq!(mesh.corner_normals(0), [Vec3::X; 3]);
-    assert_eq!(mesh.corner_normals(1), [Vec3::Z; 3]);
-    assert!(warnings[0].contains("1 of 2"), "{warnings:?}");
+    // Faces with normals keep them; one without is flat, in the same object as well.
+    for object in ["", "o b\n"] {
+        let half = format!("{OBJ}vn 1 0 0\no a\nf 1/1/2 2/2/2 3/3/2\n{object}f 1/1 3/3 4/4\nf 1/1/2 3/3/2 4/4/2\n");
+        let MeshFile { mesh, warnings } = read_text("a.obj", half).unwrap();
+        for (triangle, normal) in [(0, Vec3::X), (1, Vec3::Z), (2, Vec3::X)] {
+            assert_eq!(mesh.corner_normals(triangle), [normal; 3]);
+        }
+        assert!(warnings.len() == 1 && warnings[0].contains("1 of 3"), "{warnings:?}");
+    }
+    // A corner is enough.
+    let corner = format!("{OBJ}vn 1 0 0\nf 1/1/2 2/2/2 3/3/2\nf 1/1 3/3/2 4/4/2\n");
+    let MeshFile { mesh, warnings } = read_text("a.obj", corner).unwrap();
+    assert_eq!([0, 1].map(|t| mesh.corner_normals(t)), [[Vec3::X; 3], [Vec3::Z; 3]]);
+    assert!(warnings.len() == 1 && warnings[0].contains("1 of 2"), "{warnings:?}");
+}
+
+#[test]
+fn faces_without_texture_coordinates_have_no_texels_and_leave_the_others_theirs() {
+    let some = format!("{OBJ}f 1/1/1 2/2/1 3/3/1\nf 1//1 3//1 4//1\nf 1/1/1 3/3/1 4/4/1\n");
+    let MeshFile { mesh, warnings } = read_text("a.obj", some).unwrap();
+    let square = square();
+    let expected = [square.corner_uvs(0), [Vec2::ZERO; 3], square.corner_uvs(1)];
+    assert_eq!([0, 1, 2].map(|t| mesh.corner_uvs(t)), expected);
+    assert_eq!(mesh.normals, vec![Vec3::Z; mesh.positions.len()]);
+    assert!(warnings.len() == 1 && warnings[0].contains("a.obj: 1 of 3 triangles have no texture"), "{warnings:?}");
+    // A triangle with one place that is none must not span an area to the atlas's corner.
+    let spoilt = format!("{OBJ}vt nan 0\nf 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/5/1\n");
+    let MeshFile { mesh, warnings } = read_text("a.obj", spoilt).unwrap();
+    assert_eq!([0, 1].map(|t| mesh.corner_uvs(t)), [square.corner_uvs(0), [Vec2::ZERO; 3]]);
+    assert_eq!([0, 1].map(|t| mesh.corners(t)), [0, 1].map(|t| square.corners(t)));
+    assert!(warnings.len() == 1 && warnings[0].contains("1 of 2 triangles"), "{warnings:?}");
+}
+
+/// Of a fan of faces, one that lacks its normals costs a few vertices, not those of all others.
+#[test]
+fn faces_of_one_form_share_their_vertices() {
+    let rim = |i: usize| (i as f32 / 50.0).sin_cos();
+    let vertices: String = (0..100).map(rim).map(|(x, y)| format!("v {x} {y} 0\nvt {x} {y}\n")).collect();
+    let fan = |flat: usize| -> String {
+        let face = |i: usize| {
+            let n = if i == flat { "" } else { "/1" };
+            format!("f 1/1{n} {i}/{i}{n} {}/{}{n}\n", i + 1, i + 1)
+        };
+        (2..100).map(face).collect()
+    };
+    let vertices_of = |flat| {
+        let text = format!("vn 0 0 1\n{vertices}{}", fan(flat));
+        read_text("a.obj", text).unwrap().mesh.positions.len()
+    };
+    assert_eq!(vertices_of(0), 100);
+    // The face has its own, and those on either side of it no longer share the hub.
+    assert!((101..110).contains(&vertices_of(50)), "{}", vertices_of(50));
 }
 
 const PLY_VERTICES: &str = "0 0 2 0 0 1 0 0.5\n1 0 2 0 0 1 0.5 0.5\n1 1 2 0 0 1 0.5 1\n0 1 2 0 0 1 0 1\n";
@@ -238,8 +284,6 @@ fn a_mesh_without_texture_coordinates_is_told_to_unwrap() {
         let error = message(result);
         assert!(error.contains("no texture coordinates") && error.contains("atlas"), "{error}");
     }
-    let some = "f 1/1/1 2/2/1 3/3/1\nf 1//1 3//1 4//1\n";
-    assert!(message(read_text("a.obj", format!("{OBJ}{some}"))).contains("no texture coordinates"));
 }
 
 #[test]
@@ -257,10 +301,21 @@ fn degenerate_triangles_are_dropped_and_counted() {
 fn unusable_numbers_and_indices_are_errors_with_their_place() {
     for (from, to, expected) in [
         ("v 1 0 2", "v nan 0 2", "vertex 1 is at [NaN, 0, 2]"),
-        ("vt 0.5 0.5", "vt inf 0.5", "1 vertices have no texture coordinates, or none that are finite"),
-        ("vn 0 0 1", "vn 0 0 x", "a `vn` line"),
-        ("f 1/1/1", "f 9/1/1", "names a `v`"),
-        ("f 1/1/1", "f 1/9/1", "names a `vt`"),
+        ("vt 0.5 0.5", "vt inf 0.5", "has no texture coordinates, or none that are finite"),
+        ("vn 0 0 1", "vn 0 0 x", "line 10: a `vn` line"),
+        ("f 1/1/1", "f 1/1/x", "line 11: an `f` line"),
+        ("f 1/1/1", "f 9/1/1", "line 11 names `v` 9, and lines 1 to 11 have 4 of them"),
+        ("f 1/1/1", "f 1/9/1", "line 11 names `vt` 9"),
+        ("f 1/1/1", "f 1/1/2", "line 11 names `vn` 2"),
+        (
+            "f 1/1/1",
+            "o a\nf 1/1/1 2/2/1 3/3/1\nf 1/1/2 1/1/1 2/2/1\no b\nf 1/1/1",
+            "line 13 names `vn` 2, and lines 1 to 14",
+        ),
+        ("f 1/1/1", "f -5/1/1", "line 11 names `v` -5, after 4 of them"),
+        ("f 1/1/1", "f 1/0/1", "line 11 names `vt` 0"),
+        ("f 1/1/1", "f 1/1/6148914691236517205", "line 11 names `vn` 6148914691236517205"),
+        ("f 1/1/1", "f 1/1/-9223372036854775808", "line 11 names `vn` -9223372036854775808"),
     ] {
         let error = message(read_text("a.obj", format!("{OBJ}f 1/1/1 2/2/1 3/3/1\n").replacen(from, to, 1)));
         assert!(error.contains("a.obj") && error.contains(expected), "{to}: {error}");

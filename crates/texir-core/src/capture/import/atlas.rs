@@ -15,7 +15,7 @@ pub(super) fn lacking(import: &Import, unplaced: usize, options: &ImportOptions)
         return Some("as told".to_owned());
     }
     if unplaced > 0 {
-        return Some(format!("{unplaced} of its vertices have no texture coordinates"));
+        return Some(format!("{unplaced} of its triangles have no texture coordinates"));
     }
     let problems = atlas_report(&import.mesh, ATLAS_CHECK_SIZE).problems();
     (import.textures.is_empty() && !problems.is_empty()).then(|| problems.join(", and "))
