@@ -1,5 +1,7 @@
 //! The folder of a finished fit: what is in it, and how it gets there whole.
 
+mod edited;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -15,7 +17,7 @@ use crate::image_io::{read_gray, read_rgb, write_gray, write_rgb};
 use crate::mesh::Mesh;
 use crate::mesh_io;
 use crate::progress::Progress;
-use crate::raster::Gray;
+use crate::raster::{Gray, Rgb};
 use crate::render::Textures;
 
 /// Linear albedo, OpenEXR.
@@ -141,7 +143,8 @@ impl FitOutput {
         mesh_io::obj::write(folder.join(MESH), &self.mesh)
     }
 
-    /// Reads what [`FitOutput::save`] wrote.
+    /// Reads what [`FitOutput::save`] wrote, and may have been edited since: texels that are no numbers are an error, values
+    /// out of range are limited and warned about.
     pub fn load(folder: &Path, progress: &dyn Progress) -> Result<Self> {
         if !folder.join(ALBEDO).is_file() {
             return Err(Error::file(
@@ -150,15 +153,23 @@ impl FitOutput {
             ));
         }
         let Scattering { diffuse, masking } = Scattering::read(&folder.join(MATERIALS))?;
-        let optional = |name: &str| Some(folder.join(name)).filter(|path| path.is_file()).map(read_gray).transpose();
+        let rgb = |name: &str, range| -> Result<Rgb> {
+            let path = folder.join(name);
+            edited::checked(&path, read_rgb(&path)?, range, progress)
+        };
+        let gray = |name: &str| -> Result<Gray> {
+            let path = folder.join(name);
+            edited::checked(&path, read_gray(&path)?, edited::SHARE, progress)
+        };
+        let optional = |name: &str| folder.join(name).is_file().then(|| gray(name)).transpose();
         let textures = Textures {
             diffuse,
             masking,
-            albedo: read_rgb(folder.join(ALBEDO))?,
-            roughness: read_gray(folder.join(ROUGHNESS))?,
+            albedo: rgb(ALBEDO, edited::SHARE)?,
+            roughness: gray(ROUGHNESS)?,
             metallic: optional(METALLIC)?,
-            irradiance: read_rgb(folder.join(IRRADIANCE))?,
-            emission: read_rgb(folder.join(EMISSION))?,
+            irradiance: rgb(IRRADIANCE, edited::LIGHT)?,
+            emission: rgb(EMISSION, edited::LIGHT)?,
         };
         let confidence = optional(CONFIDENCE)?;
         let tbl = Tbl::read(folder.join(HDR_TEXTURE), progress)?;
@@ -220,8 +231,12 @@ impl Staging {
 
 #[cfg(test)]
 mod tests {
+    use glam::{Vec2, Vec3};
+
     use super::*;
+    use crate::capture::Coverage;
     use crate::progress::Silent;
+    use crate::raster::Raster;
 
     fn names(folder: &Path) -> Vec<String> {
         let mut names: Vec<String> =
@@ -262,6 +277,38 @@ mod tests {
         staging.commit().unwrap();
         assert_eq!(names(root.path()), [ALBEDO, "notes.txt"]);
         assert_eq!(fs::read_to_string(root.path().join(ALBEDO)).unwrap(), "new");
+    }
+
+    #[test]
+    fn edited_textures_are_checked_when_they_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let [albedo, irradiance, emission] = [0.5, 1.0, 0.0].map(|v| Rgb::filled(4, 2, [v; 3]));
+        let (diffuse, masking, roughness) = (DiffuseModel::Lambert, Masking::Smith, Gray::filled(4, 2, 0.5));
+        let textures = Textures { albedo, roughness, metallic: None, irradiance, emission, diffuse, masking };
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            normals: vec![Vec3::Z; 3],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y],
+            triangles: vec![[0, 1, 2]],
+        };
+        let tbl = Tbl { radiance: textures.irradiance.clone(), coverage: Raster::filled(4, 2, Coverage::Seen) };
+        let output = FitOutput { mesh, tbl, textures, confidence: None };
+        output.save(folder.path()).unwrap();
+        assert_eq!(FitOutput::load(folder.path(), &Silent).unwrap(), output);
+        for (name, value, limited) in [(ALBEDO, 1.5, 1.0), (IRRADIANCE, -1.0, 0.0), (EMISSION, -1.0, 0.0)] {
+            let path = folder.path().join(name);
+            let whole = fs::read(&path).unwrap();
+            write_rgb(&path, &Rgb::filled(4, 2, [value; 3])).unwrap();
+            let Textures { albedo, irradiance, emission, .. } =
+                FitOutput::load(folder.path(), &Silent).unwrap().textures;
+            let read = [(ALBEDO, albedo), (IRRADIANCE, irradiance), (EMISSION, emission)];
+            let read = read.iter().find(|(of, _)| *of == name).unwrap();
+            assert_eq!(read.1.data, [[limited; 3]; 8], "{name}");
+            fs::write(&path, whole).unwrap();
+        }
+        write_gray(folder.path().join(ROUGHNESS), &Gray::filled(4, 2, f32::NAN)).unwrap();
+        let error = FitOutput::load(folder.path(), &Silent).unwrap_err().to_string();
+        assert!(error.contains(ROUGHNESS) && error.contains("8 of 8 texels"), "{error}");
     }
 
     #[test]

@@ -15,6 +15,9 @@ use super::{Session, check_folder, eval};
 use crate::device;
 use crate::failure::Failure;
 
+/// Previews are no brighter or darker than by this many stops.
+const MOST_STOPS: f32 = 60.0;
+
 /// Arguments of `texir render`.
 #[derive(Debug, Args)]
 pub struct Render {
@@ -30,8 +33,14 @@ pub struct Render {
     #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
     /// Brightness of the previews, in stops
-    #[arg(long, default_value_t = 0.0, value_name = "EV", allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, value_name = "EV", value_parser = stops, allow_negative_numbers = true)]
     exposure: f32,
+}
+
+/// Brightness in stops, as far as it leaves numbers of radiance.
+fn stops(text: &str) -> Result<f32, String> {
+    let stops = text.parse().ok().filter(|stops: &f32| stops.abs() <= MOST_STOPS);
+    stops.ok_or_else(|| format!("expected stops, a number of -{MOST_STOPS} to {MOST_STOPS}"))
 }
 
 /// One rendered view, as `--json` prints it.
@@ -66,5 +75,18 @@ impl Render {
         }
         session.console.finish();
         session.print(&written, || format!("{} views in {}", written.len(), self.output.display()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exposure_is_a_number_of_stops() {
+        assert_eq!([stops("-1.5"), stops("0"), stops("60")], [Ok(-1.5), Ok(0.0), Ok(60.0)]);
+        for wrong in ["nan", "inf", "-inf", "61", "", "a"] {
+            assert!(stops(wrong).is_err(), "{wrong}");
+        }
     }
 }
