@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, DefaultHasher};
 
-use glam::{IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::surface::SurfacePoint;
@@ -62,12 +62,12 @@ pub(crate) fn source_limit(known: &[Option<[f32; 3]>]) -> f32 {
 /// Weighted sum of logarithms.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean {
-    sum: Vec3,
-    weight: f32,
+    sum: DVec3,
+    weight: f64,
 }
 
 impl Mean {
-    fn add(&mut self, sum: Vec3, weight: f32) {
+    fn add(&mut self, sum: DVec3, weight: f64) {
         self.sum += sum;
         self.weight += weight;
     }
@@ -92,8 +92,8 @@ impl Grid {
         for (point, group, value) in seen {
             let log = (Vec3::from(value) + BLACK).map(f32::ln);
             let cell = (Vec3::from(point.position) / cell).floor().as_ivec3();
-            finest.entry((cell, group)).or_default().add(log, 1.0);
-            all.add(log, 1.0);
+            finest.entry((cell, group)).or_default().add(log.as_dvec3(), 1.0);
+            all.add(log.as_dvec3(), 1.0);
         }
         let mut levels = vec![finest];
         for level in 1..LEVELS {
@@ -110,7 +110,7 @@ impl Grid {
     fn value(&self, point: &SurfacePoint, group: u32) -> [f32; 3] {
         let mean = (0..self.levels.len()).find_map(|level| self.around(point, group, level)).unwrap_or(self.all);
         if mean.weight > 0.0 {
-            ((mean.sum / mean.weight).map(f32::exp) - BLACK).max(Vec3::ZERO).to_array()
+            ((mean.sum / mean.weight).as_vec3().map(f32::exp) - BLACK).max(Vec3::ZERO).to_array()
         } else {
             [0.0; 3]
         }
@@ -124,7 +124,7 @@ impl Grid {
         let mut blend = Mean::default();
         for corner in 0..8 {
             let offset = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
-            let tent = (Vec3::ONE - (f - offset.as_vec3()).abs()).element_product();
+            let tent = f64::from((Vec3::ONE - (f - offset.as_vec3()).abs()).element_product());
             if let Some(mean) = cells.get(&(base + offset, group)) {
                 blend.add(mean.sum / mean.weight * tent, tent);
             }

@@ -30,7 +30,8 @@ pub fn find(
     let seen: Vec<_> = texels().map(|t| is_seen(t).then(|| radiance.data[t])).collect();
     let limit = inpaint::source_limit(&seen);
     let known = |t: usize| is_seen(t) || inpaint::mean(radiance.data[t]) > limit;
-    let mean = texels().map(|t| luminance(&radiance.data[t])).sum::<f32>() / atlas.texels.len() as f32;
+    let sum: f64 = texels().map(|t| f64::from(luminance(&radiance.data[t]))).sum();
+    let mean = (sum / atlas.texels.len() as f64) as f32;
     let reflected = |t: usize| luminance(&irradiance.data[t]) * std::f32::consts::FRAC_1_PI;
     let least = |t: usize| ratio * reflected(t).max(mean);
     let mut mask = Mask::filled(radiance.width, radiance.height, false);

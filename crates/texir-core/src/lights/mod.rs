@@ -189,7 +189,7 @@ pub(crate) struct Finder<'a> {
     scene: &'a Scene,
     radiance: &'a Rgb,
     /// Sum of the luminance of each triangle's texels, and how many there are.
-    sums: Vec<(f32, u32)>,
+    sums: Vec<(f64, u32)>,
     /// Some of the texels, evenly chosen: one of `every`.
     chosen: Vec<SurfacePoint>,
     every: usize,
@@ -207,7 +207,7 @@ impl<'a> Finder<'a> {
     pub fn take(&mut self, points: &[SurfacePoint]) {
         for point in points {
             let (sum, count) = &mut self.sums[point.triangle as usize];
-            *sum += luminance(&self.radiance.data[point.sequence as usize]);
+            *sum += f64::from(luminance(&self.radiance.data[point.sequence as usize]));
             *count += 1;
         }
         let first = self.taken.next_multiple_of(self.every) - self.taken;
@@ -233,7 +233,9 @@ impl<'a> Finder<'a> {
             let [a, b, c] = self.scene.mesh.corner_uvs(t);
             luminance(&self.radiance.data[self.radiance.nearest((a + b + c) / 3.0)])
         };
-        let mean = |(t, &(sum, count)): (u32, &(f32, u32))| if count > 0 { sum / count as f32 } else { centre(t) };
+        let mean = |(t, &(sum, count)): (u32, &(f64, u32))| {
+            if count > 0 { (sum / f64::from(count)) as f32 } else { centre(t) }
+        };
         (0u32..).zip(&self.sums).map(mean).collect()
     }
 }

@@ -10,7 +10,7 @@
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
-use glam::{Vec3A, Vec4};
+use glam::{DVec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use super::observations::Observations;
@@ -107,16 +107,18 @@ impl<'a> AlbedoProblem<'a> {
     }
 
     fn segment_means(&self, value: impl Fn(usize) -> Option<Vec3A>) -> Vec<Vec3A> {
-        let mut sums = vec![(Vec3A::ZERO, 0.0f32); self.segment.1];
+        // In f64: a sum of millions of texels in f32 stops where a texel is less than its last digit.
+        let mut sums = vec![(DVec3::ZERO, 0.0f64); self.segment.1];
         for (t, segment) in self.segment.0.iter().enumerate() {
             if let Some(value) = value(t) {
                 let (sum, weight) = &mut sums[*segment as usize];
-                *sum += value;
+                *sum += value.as_dvec3();
                 *weight += 1.0;
             }
         }
-        let all = sums.iter().fold((Vec3A::ZERO, 0.0), |(s, w), (sum, weight)| (s + *sum, w + weight));
-        let mean = |(sum, weight): (Vec3A, f32)| if weight > 0.0 { sum / weight } else { Vec3A::splat(0.5) };
+        let all = sums.iter().fold((DVec3::ZERO, 0.0), |(s, w), (sum, weight)| (s + *sum, w + weight));
+        let mean =
+            |(sum, weight): (DVec3, f64)| if weight > 0.0 { (sum / weight).as_vec3a() } else { Vec3A::splat(0.5) };
         sums.into_iter().map(|s| if s.1 > 0.0 { mean(s) } else { mean(all) }).collect()
     }
 

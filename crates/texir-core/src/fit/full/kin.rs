@@ -5,7 +5,7 @@
 //! roughness speaks for all others, the more the more they are alike in colour, class and room: kernel regression
 //! (Nadaraya, "On Estimating Regression", 1964; Watson, "Smooth Regression Analysis", 1964) of ln r.
 
-use glam::Vec3A;
+use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::hierarchy::Parent;
@@ -66,13 +66,13 @@ fn alike(a: &Known, b: &Known, settings: &KinSettings) -> f32 {
 
 /// The logarithm of each segment's mean albedo, over the texels that are seen. `segment` has a number per texel, and their count.
 pub fn colours(segment: (&[u32], usize), albedo: &[Vec3A], is_seen: &[bool]) -> Vec<Option<Vec3A>> {
-    let mut sums = vec![(Vec3A::ZERO, 0_u32); segment.1];
+    let mut sums = vec![(DVec3::ZERO, 0_u32); segment.1];
     for ((s, a), _) in segment.0.iter().zip(albedo).zip(is_seen).filter(|(_, seen)| **seen) {
         let (sum, count) = &mut sums[*s as usize];
-        *sum += *a;
+        *sum += a.as_dvec3();
         *count += 1;
     }
-    let mean = |(sum, count): (Vec3A, u32)| (count >= COLOUR_TEXELS).then(|| log(sum / count as f32));
+    let mean = |(sum, count): (DVec3, u32)| (count >= COLOUR_TEXELS).then(|| log((sum / f64::from(count)).as_vec3a()));
     sums.into_iter().map(mean).collect()
 }
 
@@ -149,5 +149,15 @@ mod tests {
         let found = colours((&segment, 2), &albedo, &is_seen);
         assert!((found[0].unwrap() - log(WOOD)).abs().max_element() < 1e-5);
         assert_eq!(found[1], None);
+    }
+
+    /// Four million texels of one colour, which sums in f32 miss by per cents.
+    #[test]
+    fn colours_of_large_segments_are_exact() {
+        const TEXELS: usize = 1 << 22;
+        let found = colours((&vec![0; TEXELS], 1), &vec![WOOD; TEXELS], &vec![true; TEXELS])[0].unwrap();
+        assert!((found - log(WOOD)).abs().max_element() < 1e-6, "{found}");
+        let running = (0..TEXELS).fold(Vec3A::ZERO, |sum, _| sum + WOOD) / TEXELS as f32;
+        assert!((log(running) - log(WOOD)).abs().max_element() > 0.01, "{running}");
     }
 }
