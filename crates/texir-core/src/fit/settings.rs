@@ -127,9 +127,19 @@ pub enum DiffuseChoice {
     /// The one under which least is left to explain at grazing angles.
     #[default]
     Auto,
-    /// This one.
-    #[serde(untagged)]
-    Is(DiffuseModel),
+    /// [`DiffuseModel::Lambert`].
+    Lambert,
+    /// [`DiffuseModel::Burley`].
+    Burley,
+}
+
+impl From<DiffuseModel> for DiffuseChoice {
+    fn from(model: DiffuseModel) -> Self {
+        match model {
+            DiffuseModel::Lambert => Self::Lambert,
+            DiffuseModel::Burley => Self::Burley,
+        }
+    }
 }
 
 impl FullSettings {
@@ -146,7 +156,7 @@ impl FullSettings {
         for samples in [&mut coarse.lobe_samples, &mut coarse.cosine_samples, &mut coarse.light_samples] {
             *samples = samples.div_ceil(3);
         }
-        coarse.diffuse = DiffuseChoice::Is(self.diffuse.candidates()[0]);
+        coarse.diffuse = self.diffuse.candidates()[0].into();
         coarse.roughness.joints.width = 0.0;
         coarse
     }
@@ -157,7 +167,8 @@ impl DiffuseChoice {
     pub fn candidates(self) -> Vec<DiffuseModel> {
         match self {
             Self::Auto => vec![DiffuseModel::Lambert, DiffuseModel::Burley],
-            Self::Is(model) => vec![model],
+            Self::Lambert => vec![DiffuseModel::Lambert],
+            Self::Burley => vec![DiffuseModel::Burley],
         }
     }
 }
@@ -667,6 +678,18 @@ impl FitSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn diffuse_models_are_chosen_by_name() {
+        for choice in [DiffuseChoice::Auto, DiffuseChoice::Lambert, DiffuseChoice::Burley] {
+            let name = serde_json::to_string(&choice).unwrap();
+            assert_eq!(serde_json::from_str::<DiffuseChoice>(&name).unwrap(), choice);
+        }
+        let error = serde_json::from_str::<DiffuseChoice>("\"lambrt\"").unwrap_err().to_string();
+        for part in ["`lambrt`", "`auto`", "`lambert`", "`burley`"] {
+            assert!(error.contains(part), "{part} is not in: {error}");
+        }
+    }
 
     #[test]
     fn rounds_before_the_last_are_coarse_and_the_first_irradiance_takes_few_rays() {

@@ -169,7 +169,7 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
     use super::scan_models;
     use super::segments::Segments;
     use crate::fit::settings::{DiffuseChoice, FullSettings, MetallicSettings};
-    let mut settings = FullSettings { diffuse: DiffuseChoice::Is(DiffuseModel::Lambert), ..FullSettings::default() };
+    let mut settings = FullSettings { diffuse: DiffuseChoice::Lambert, ..FullSettings::default() };
     let copper = Vec3A::new(0.95, 0.64, 0.54);
     for (metallic, roughness) in [(1.0, 0.1), (1.0, 0.25), (0.0, 0.1), (0.0, 0.25), (0.0, 0.9)] {
         let material = Material { metallic, ..Material::dielectric(copper.to_array(), roughness) };
