@@ -35,6 +35,9 @@ fn number(path: &Path, exif: &Exif, tag: Tag, name: &str) -> Result<f64> {
     let field = exif.get_field(tag, In::PRIMARY).ok_or_else(missing)?;
     let value = match &field.value {
         Value::Rational(values) => values.first().map(exif::Rational::to_f64),
+        Value::SRational(values) => values.first().map(exif::SRational::to_f64),
+        Value::Float(values) => values.first().copied().map(f64::from),
+        Value::Double(values) => values.first().copied(),
         other => other.get_uint(0).map(f64::from),
     };
     value.filter(|v| *v > 0.0 && v.is_finite()).ok_or_else(|| {

@@ -1,7 +1,7 @@
 //! Synthetic brackets with the noise of a sensor, against the truth; EXIF; bad series.
 
 use exif::experimental::Writer;
-use exif::{Field, In, Rational, Tag, Value};
+use exif::{Field, In, Rational, SRational, Tag, Value};
 use image::{ExtendedColorType, ImageEncoder};
 use tempfile::TempDir;
 
@@ -266,10 +266,20 @@ fn a_missing_or_useless_exif_field_is_an_error_that_names_it() {
         let message = read_exposure(&path).unwrap_err().to_string();
         assert!(message.contains("shot.png") && message.contains(name) && message.contains("--times"), "{message}");
     }
-    let mut fields = all.to_vec();
-    fields[0].1 = rational(0, 0);
-    std::fs::write(&path, png(&values, &exif_of(&fields))).unwrap();
-    assert!(read_exposure(&path).unwrap_err().to_string().contains("ExposureTime is"));
+    for useless in [rational(0, 0), Value::Double(vec![f64::NAN]), Value::Float(vec![-1.0]), Value::Double(vec![])] {
+        let mut fields = all.to_vec();
+        fields[0].1 = useless;
+        std::fs::write(&path, png(&values, &exif_of(&fields))).unwrap();
+        assert!(read_exposure(&path).unwrap_err().to_string().contains("ExposureTime is"));
+    }
+    // Not every program keeps the types of the standard.
+    let signed = Value::SRational(vec![SRational { num: 1, denom: 200 }]);
+    for time in [rational(1, 200), signed, Value::Float(vec![0.005]), Value::Double(vec![0.005])] {
+        let mut fields = all.to_vec();
+        fields[0].1 = time;
+        std::fs::write(&path, png(&values, &exif_of(&fields))).unwrap();
+        assert!((read_exposure(&path).unwrap() - 0.005 / 2.8 / 2.8).abs() < 1e-9);
+    }
     crate::image_io::write_png_gray(&path, &Raster::filled(2, 2, 0.5)).unwrap();
     assert!(read_exposure(&path).unwrap_err().to_string().contains("no readable EXIF"));
 }
