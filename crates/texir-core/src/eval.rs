@@ -9,7 +9,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::capture::{Capture, Split, Truth, View};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb};
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::Progress;
@@ -150,6 +150,24 @@ pub struct Evaluated<'a> {
     pub scores: Scores,
 }
 
+/// Errors where a view is too small to be compared: to be asked before any work that an evaluation ends.
+pub fn check_sizes(capture: &Capture) -> Result<()> {
+    let small = |view: &&View| view.camera.width.min(view.camera.height) < metrics::WINDOW;
+    let count = capture.views.iter().filter(small).count();
+    let Some(View { name, camera, .. }) = capture.views.iter().find(small) else { return Ok(()) };
+    Err(Error::file(
+        capture.root.join("transforms.json"),
+        format!(
+            "w, h: {count} of {} views are too small to be evaluated, the first is {name:?} with {}×{} pixels; expected at least \
+             {WINDOW}×{WINDOW}, the window of SSIM: take larger images, or fit without an evaluation (--no-eval)",
+            capture.views.len(),
+            camera.width,
+            camera.height,
+            WINDOW = metrics::WINDOW
+        ),
+    ))
+}
+
 /// Evaluates `textures` on every view of `capture`, and its true textures where it has them. `show` sees each view once.
 pub fn evaluate(
     renderer: &mut Renderer<'_>,
@@ -158,6 +176,7 @@ pub fn evaluate(
     progress: &dyn Progress,
     show: &mut dyn FnMut(&Evaluated<'_>),
 ) -> Result<Evaluation> {
+    check_sizes(capture)?;
     let true_textures = |truth: &Truth| -> Result<Textures> {
         let (albedo, roughness) = (read_rgb(&truth.albedo)?, read_gray(&truth.roughness)?);
         Ok(Textures { albedo, roughness, metallic: None, ..textures.clone() })

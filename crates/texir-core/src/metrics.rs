@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::raster::{Mask, Raster};
 
-/// Side of the SSIM window, pixels.
-const WINDOW: usize = 7;
+/// Side of the SSIM window, pixels: smaller images have no SSIM.
+pub const WINDOW: usize = 7;
 /// Stabilisers of SSIM, (K·L)² with L = 1 (Wang et al., "Image Quality Assessment", 2004).
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::{Capture, Split};
-use texir_core::eval::{Evaluation, Table};
+use texir_core::eval::{Evaluation, Table, check_sizes};
 use texir_core::fit::{FitSettings, Mode};
 use texir_core::outputs::{FitOutput, METRICS, SETTINGS, Staging};
 use texir_core::raster::Gray;
@@ -89,6 +89,7 @@ impl Ablate {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let capture = self.capture.load(session)?;
         check_folder(&self.output, &capture.files())?;
+        check_sizes(&capture)?;
         let outcomes: Vec<Outcome> =
             VARIANTS.iter().map(|variant| self.one(variant, &capture, session)).collect::<Result<_, _>>()?;
         write_atomic(self.output.join(TABLE), |sink| serde_json::to_writer_pretty(sink, &outcomes))?;

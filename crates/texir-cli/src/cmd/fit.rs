@@ -9,6 +9,7 @@ use serde::Serialize;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::Capture;
 use texir_core::checkpoint::Checkpoints;
+use texir_core::eval::check_sizes;
 use texir_core::fit::{self, EpochLog, FitResult};
 use texir_core::glb::{Materials, Up, write_glb};
 use texir_core::outputs::{CORRECTIONS, FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
@@ -83,6 +84,9 @@ impl Fit {
         let staging = Staging::new(&self.output)?;
         let mut capture = self.capture.load(session)?;
         check_folder(&self.output, &capture.files())?;
+        if !self.no_eval {
+            check_sizes(&capture)?;
+        }
         if let Some(corrections) = self.corrections.apply(&mut capture, session)? {
             corrections.write(&staging.folder().join(CORRECTIONS))?;
         }

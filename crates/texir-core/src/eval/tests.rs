@@ -165,3 +165,22 @@ fn light_sources_and_masked_pixels_do_not_count() {
     let all = compare(&encoded(&glow), &encoded(&plain), &reflective.map(|_| true)).unwrap().unwrap();
     assert!(masked.psnr > all.psnr + 6.0, "{masked:?} {all:?}");
 }
+
+#[test]
+fn views_that_are_too_small_are_named_before_any_work() {
+    let scene = Scene::new(room()).unwrap();
+    let mut backend = CpuBackend::new(&scene);
+    let radiance = textures().irradiance;
+    let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 96, 3).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = capture(folder.path(), &scene, &mut renderer, &textures());
+    assert!(check_sizes(&capture).is_ok());
+    (capture.views[1].camera.width, capture.views[1].camera.height) = (7, 7);
+    assert!(check_sizes(&capture).is_ok(), "a window is enough");
+    capture.views[1].camera.height = 6;
+    let shown = &mut |_: &Evaluated<'_>| panic!("work was done");
+    let error = evaluate(&mut renderer, &capture, &textures(), &Silent, shown).unwrap_err().to_string();
+    for part in ["transforms.json", "1 of 2 views", "\"b\" with 7×6", "7×7", "--no-eval"] {
+        assert!(error.contains(part), "{part:?} is not in: {error}");
+    }
+}
