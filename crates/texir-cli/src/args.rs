@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Parser, ValueEnum};
 use serde::{Deserialize, Serialize};
 use texir_core::fit::FitSettings;
+use texir_core::text_file::read_text;
 use toml::{Table, Value};
 
 use crate::cmd::Command;
@@ -111,8 +112,7 @@ impl Config {
 }
 
 fn read(path: &Path) -> Result<Table, Failure> {
-    let text = std::fs::read_to_string(path).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-    text.parse().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+    read_text(path)?.parse().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
 }
 
 /// Puts `change` into `table`, joining tables of one name.

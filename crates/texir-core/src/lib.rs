@@ -45,5 +45,6 @@ pub mod scene;
 pub mod specular_table;
 pub mod surface;
 pub mod tbl;
+pub mod text_file;
 pub mod texture;
 pub mod unwrap;

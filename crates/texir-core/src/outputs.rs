@@ -19,6 +19,7 @@ use crate::mesh_io;
 use crate::progress::Progress;
 use crate::raster::{Gray, Rgb};
 use crate::render::Textures;
+use crate::text_file::read_text;
 
 /// Linear albedo, OpenEXR.
 pub const ALBEDO: &str = "albedo.exr";
@@ -104,8 +105,7 @@ pub struct Scattering {
 
 impl Scattering {
     fn read(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
-        serde_json::from_str(&text)
+        serde_json::from_str(&read_text(path)?)
             .map_err(|e| Error::file(path, format!("is not what `texir fit` writes ({e}); run the fit again")))
     }
 }

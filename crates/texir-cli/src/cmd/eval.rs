@@ -9,6 +9,7 @@ use texir_core::eval::{Evaluated, Evaluation, evaluate};
 use texir_core::outputs::{CORRECTIONS, FitOutput, METRICS, RUN, Run};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
+use texir_core::text_file::read_text;
 
 use super::Session;
 use crate::device;
@@ -75,8 +76,7 @@ pub fn load_capture(out: &Path, given: Option<&Path>, session: &Session<'_>) -> 
 /// How the fit in `out` came about.
 pub fn read_run(out: &Path) -> Result<Run, Failure> {
     let path = out.join(RUN);
-    let text = std::fs::read_to_string(&path).map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-    serde_json::from_str(&text).map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+    serde_json::from_str(&read_text(&path)?).map_err(|e| Failure::new(format!("{}: {e}", path.display())))
 }
 
 /// Writes `metrics.json`.

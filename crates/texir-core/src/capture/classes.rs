@@ -5,11 +5,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::import::numbers::read_text;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::image_io::{read_colors, read_labels};
 use crate::raster::{Labels, Raster};
+use crate::text_file::read_text;
 
 /// Lists that come along, by the names that captures call them.
 ///

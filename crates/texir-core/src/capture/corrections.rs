@@ -6,12 +6,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::import::numbers::read_text;
 use super::{Capture, Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::tbl::blur;
+use crate::text_file::read_text;
 
 /// Corrected views by name, as JSON.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -9,12 +9,12 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::import::files::view_names;
-use super::import::numbers::read_text;
 use super::import::{Distortion, Shot};
 use super::{Classes, Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
+use crate::text_file::read_text;
 
 #[derive(Default, Deserialize, Serialize)]
 struct Transforms {
@@ -294,11 +294,17 @@ fn shown(value: Option<f64>) -> String {
     value.map_or("missing".to_owned(), |v| v.to_string())
 }
 
+/// Images are no longer on a side, pixels.
+const LARGEST_SIZE: u16 = u16::MAX;
+
 fn size(place: &Place, field: &str, value: Option<f64>) -> Result<usize> {
     match value {
-        Some(v) if v >= 1.0 && v <= f64::from(u16::MAX) && v.fract() == 0.0 => Ok(v as usize),
+        Some(v) if v >= 1.0 && v <= f64::from(LARGEST_SIZE) && v.fract() == 0.0 => Ok(v as usize),
         _ => {
-            Err(place.error(field, format!("is {}; expected the image's size, a whole number of pixels", shown(value))))
+            let found = shown(value);
+            let what =
+                format!("is {found}; expected the image's size, a whole number of pixels of 1 to {LARGEST_SIZE}");
+            Err(place.error(field, what))
         }
     }
 }

@@ -212,6 +212,18 @@ fn intrinsics_may_stand_in_the_file_or_in_the_frame_and_lists_split() {
 }
 
 #[test]
+fn a_byte_order_mark_before_transforms_json_is_ignored() {
+    let folder = capture();
+    let path = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, format!("\u{feff}{text}")).unwrap();
+    assert_eq!(load_warned(&folder).0.unwrap().views.len(), 3);
+    // Anywhere else it is no JSON.
+    std::fs::write(&path, format!("{{\u{feff}{}", &text[1..])).unwrap();
+    assert_says(&message(&folder), &["transforms.json", "line 1 column"]);
+}
+
+#[test]
 fn every_unusable_field_of_transforms_json_is_named_with_its_value() {
     let scaled = |s: f64| json!([[s, 0, 0, 0], [0, s, 0, 0], [0, 0, s, 0], [0, 0, 0, 1]]);
     let rows = |row: Value| json!([[1, 0, 0, 0], row, [0, 0, 1, 0], [0, 0, 0, 1]]);
@@ -236,6 +248,7 @@ fn every_unusable_field_of_transforms_json_is_named_with_its_value() {
         ("/camera_model", Value::Null, vec!["camera_model is missing"]),
         ("/w", json!(0), vec!["w is 0"]),
         ("/h", json!(2.5), vec!["h is 2.5"]),
+        ("/w", json!(100_000), vec!["w is 100000", "1 to 65535"]),
         ("/h", Value::Null, vec!["h is missing"]),
         ("/frames", json!([]), vec!["frames is empty"]),
     ] {

@@ -14,6 +14,7 @@ use gltf_json::validation::Checked;
 
 use super::{RawMesh, cannot_read};
 use crate::error::{Error, Result};
+use crate::text_file::BYTE_ORDER_MARK;
 
 /// The shortest possible GLB header; the parser takes this much for granted.
 const GLB_HEADER_BYTES: u32 = 12;
@@ -26,7 +27,8 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     {
         return Err(Error::file(path, "says that it is shorter than a GLB's header; is it damaged?"));
     }
-    let Gltf { document, blob } = Gltf::from_slice_without_validation(&bytes).map_err(|e| cannot_read(path, e))?;
+    let bytes = bytes.strip_prefix(BYTE_ORDER_MARK.as_bytes()).unwrap_or(&bytes);
+    let Gltf { document, blob } = Gltf::from_slice_without_validation(bytes).map_err(|e| cannot_read(path, e))?;
     let root = document.into_json();
     // The validation takes this much for granted.
     let position = Checked::Valid(Semantic::Positions);

@@ -11,6 +11,7 @@ use crate::camera::{Camera, Projection};
 use crate::capture::{Split, View, pose};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;
+use crate::text_file::read_text;
 
 /// See the module.
 pub(super) struct Blender;
@@ -67,7 +68,7 @@ impl Importer for Blender {
 }
 
 fn read(folder: &Path, path: &Path, split: Split, shots: &mut Vec<Shot>) -> Result<()> {
-    let text = super::numbers::read_text(path)?;
+    let text = read_text(path)?;
     let file: Transforms = serde_json::from_str(&text)
         .map_err(|e| Error::file(path, format!("is no transforms file as the NeRF-synthetic scenes have it: {e}")))?;
     let angle = file.camera_angle_x;

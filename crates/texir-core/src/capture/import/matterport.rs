@@ -12,6 +12,7 @@ use crate::camera::{Camera, Projection};
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;
+use crate::text_file::read_text;
 
 /// See the module.
 pub(super) struct Matterport;
@@ -65,7 +66,7 @@ fn camera_shots(folder: &Path) -> Result<Vec<Shot>> {
         });
         let (panorama, camera, yaw) = parts
             .ok_or_else(|| Error::file(path, "has an unknown name; expected <panorama>_pose_<camera>_<yaw>.txt"))?;
-        let pose = numbers::pose(path, "the pose", &numbers::parse(path, &numbers::read_text(path)?)?)?;
+        let pose = numbers::pose(path, "the pose", &numbers::parse(path, &read_text(path)?)?)?;
         let (intrinsics, distortion) =
             intrinsics(&folder.join(INTRINSICS).join(format!("{panorama}_intrinsics_{camera}.txt")))?;
         let camera_of_view =
@@ -85,7 +86,7 @@ fn camera_shots(folder: &Path) -> Result<Vec<Shot>> {
 
 /// `width height fx fy cx cy k1 k2 p1 p2 k3`.
 fn intrinsics(path: &Path) -> Result<(Camera, Option<Distortion>)> {
-    let found = numbers::parse(path, &numbers::read_text(path)?)?;
+    let found = numbers::parse(path, &read_text(path)?)?;
     let [width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3] = found[..] else {
         return Err(Error::file(
             path,
@@ -110,7 +111,7 @@ fn undistorted_shots(folder: &Path) -> Result<Vec<Shot>> {
     let path = files::only(&folder.join(UNDISTORTED), &["conf"]).ok_or_else(|| {
         Error::file(folder.join(UNDISTORTED), "does not hold exactly one .conf; expected the house's")
     })?;
-    let text = numbers::read_text(&path)?;
+    let text = read_text(&path)?;
     let (mut matrix, mut shots) = (None, Vec::new());
     for (number, line) in (1..).zip(text.lines()) {
         let wrong = |what: &str| Error::file(&path, format!("line {number}: {what}"));

@@ -13,7 +13,7 @@ mod gltf;
 mod lens;
 mod matterport;
 mod nerfstudio;
-pub(super) mod numbers;
+mod numbers;
 mod panoramas;
 mod texir_authors;
 mod write;

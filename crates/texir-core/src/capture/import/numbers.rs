@@ -7,10 +7,6 @@ use glam::DMat4;
 use crate::capture::pose;
 use crate::error::{Error, Result};
 
-pub(in crate::capture) fn read_text(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))
-}
-
 /// All white-space separated numbers of a text.
 pub(super) fn parse(path: &Path, text: &str) -> Result<Vec<f64>> {
     let number = |word: &str| {

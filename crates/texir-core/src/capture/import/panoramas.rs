@@ -11,6 +11,7 @@ use crate::camera::{Camera, Projection};
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;
+use crate::text_file::read_text;
 
 /// See the module.
 pub(super) struct Panoramas;
@@ -18,6 +19,9 @@ pub(super) struct Panoramas;
 const LISTS: [&str; 2] = ["panoramas.csv", "panoramas.json"];
 /// Where images are looked for.
 const IMAGES: [&str; 3] = ["hdr", "", "images"];
+
+/// What the header of a CSV names.
+const COLUMNS: &str = "file,x,y,z and qw,qx,qy,qz or yaw,pitch,roll";
 
 /// A line of the CSV, whose header names these columns; an object of the JSON array.
 #[derive(Deserialize)]
@@ -55,7 +59,7 @@ impl Importer for Panoramas {
 
     fn read(&self, folder: &Path) -> Result<Source> {
         let path = list(folder).ok_or_else(|| Error::file(folder, format!("has no {}", self.signature())))?;
-        let text = super::numbers::read_text(&path)?;
+        let text = read_text(&path)?;
         let rows = if path.extension().is_some_and(|e| e == "json") {
             serde_json::from_str(&text).map_err(|e| Error::file(&path, format!("is no list of panoramas: {e}")))?
         } else {
@@ -96,19 +100,21 @@ fn list(folder: &Path) -> Option<PathBuf> {
 
 /// Fields are separated by commas or, as some tables are exported, by semicolons.
 fn from_csv(path: &Path, text: &str) -> Result<Vec<Row>> {
-    let header = text.lines().find(|line| !line.starts_with('#')).unwrap_or_default();
+    let is_read = |line: &&str| !line.starts_with('#') && !line.trim().is_empty();
+    let header = text.lines().find(is_read).unwrap_or_default();
     let delimiter = if header.contains(';') { b';' } else { b',' };
     let mut reader = csv::ReaderBuilder::new()
         .delimiter(delimiter)
         .comment(Some(b'#'))
         .trim(csv::Trim::All)
         .from_reader(text.as_bytes());
-    let rows = reader.deserialize().collect::<Result<_, _>>();
-    rows.map_err(|e| {
-        let what =
-            format!("is no list of panoramas: {e}; expected the columns file,x,y,z and qw,qx,qy,qz or yaw,pitch,roll");
-        Error::file(path, what)
-    })
+    let wrong = |what: String| Error::file(path, format!("is no list of panoramas: {what} {COLUMNS}"));
+    let has_header = |columns: &csv::StringRecord| columns.iter().any(|column| column == "file");
+    if reader.headers().is_ok_and(|columns| !has_header(columns)) {
+        let first = header.trim_end();
+        return Err(wrong(format!("its first line is {first:?}; expected a header, a line that names the columns")));
+    }
+    reader.deserialize().collect::<Result<_, _>>().map_err(|e| wrong(format!("{e}; expected the columns")))
 }
 
 impl Row {

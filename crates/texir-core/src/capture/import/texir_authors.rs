@@ -21,6 +21,7 @@ use crate::camera::{Camera, Projection};
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;
+use crate::text_file::read_text;
 
 /// See the module.
 pub(super) struct TexirAuthors;
@@ -66,9 +67,9 @@ impl Importer for TexirAuthors {
 
 fn read(folder: &Path, ids: &str, poses: &str, split: Split) -> Result<Vec<Shot>> {
     let (ids_path, poses_path) = (folder.join(ids), folder.join(poses));
-    let ids = numbers::read_text(&ids_path)?;
+    let ids = read_text(&ids_path)?;
     let ids: Vec<&str> = ids.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-    let found = numbers::parse(&poses_path, &numbers::read_text(&poses_path)?)?;
+    let found = numbers::parse(&poses_path, &read_text(&poses_path)?)?;
     // The first number counts the matrices.
     let matrices = found.get(1..).unwrap_or_default();
     if matrices.len() != 16 * ids.len() {

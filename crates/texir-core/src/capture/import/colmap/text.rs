@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::str::{FromStr, SplitWhitespace};
 
-use super::super::numbers::read_text;
 use super::{Image, Sensor, camera_model};
 use crate::error::{Error, Result};
+use crate::text_file::read_text;
 
 /// Where in a file something is wrong.
 struct Line<'a> {

@@ -196,6 +196,10 @@ fn lists_of_panoramas() {
     write_images(folder.path(), |i| format!("p{i}.exr"));
     assert_says(&bad("file,x,y,z\np0.exr,1,2,3\n"), &["panoramas.csv", "panorama 1 (p0.exr)", "qw", "yaw"]);
     assert_says(&bad("file,x,y\np0.exr,1,2\n"), &["panoramas.csv", "missing field", "file,x,y,z"]);
+    let headless = ["panoramas.csv", "first line is \"p0.exr,1,2,3,90,0,0\"", "header", "file,x,y,z"];
+    assert_says(&bad("# mine\np0.exr,1,2,3,90,0,0\n"), &headless);
+    assert_says(&bad("p0.exr,1,2,3,90,0,0\r\np1.exr,1,2,3,90,0,0\r\n"), &headless);
+    assert_says(&bad(""), &["panoramas.csv", "first line is \"\"", "header"]);
     assert_says(&bad("file,x,y,z,yaw\np0.exr,1,2,3,inf\n"), &["panorama 1", "finite", "degrees"]);
     assert_says(&bad("file,x,y,z,yaw\n"), &["no camera"]);
     write_rgb(folder.path().join("p0.exr"), &Rgb::filled(3, 2, [1.0; 3])).unwrap();
