@@ -373,7 +373,10 @@ fn fronts_without_light_are_told_where_their_backs_have_it() {
     // The second square lies a metre above the first, and faces up.
     let ceiling = |turn: Mat4| (1, Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y));
     let upside_down = told(&[floor, ceiling(Mat4::IDENTITY)], within, true).unwrap();
-    assert!(upside_down.starts_with("1 double-sided") && upside_down.contains("\"node 1\""), "{upside_down}");
+    assert!(
+        upside_down.starts_with("double-sided surfaces (1)") && upside_down.contains("\"node 1\""),
+        "{upside_down}"
+    );
     assert!(!upside_down.contains("node 0"), "{upside_down}");
     // Negative controls: it is seen from its front alone, it faces down, it is lit where it faces.
     assert_eq!(told(&[floor, ceiling(Mat4::IDENTITY)], within, false), None);
