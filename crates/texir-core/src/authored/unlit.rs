@@ -53,6 +53,9 @@ pub fn unlit(
     Ok(parts_lit_from_behind(model, &parts))
 }
 
+/// The index of a primitive, and a point on it.
+type OfPart = (usize, SurfacePoint);
+
 /// What was looked at of a primitive.
 #[derive(Clone, Copy, Default)]
 struct Looked {
@@ -68,7 +71,7 @@ fn dark_fronts(
     texels: &Texels<'_>,
     solution: &Solution,
     dark: f32,
-) -> Result<(Vec<(usize, SurfacePoint)>, Vec<Looked>)> {
+) -> Result<(Vec<OfPart>, Vec<Looked>)> {
     let double: Vec<bool> = model.parts.iter().map(|part| model.is_double_sided(part)).collect();
     let (mut points, mut looked) = (Vec::new(), vec![Looked::default(); double.len()]);
     if !double.contains(&true) {
@@ -84,7 +87,7 @@ fn dark_fronts(
     let mut passed = vec![0; double.len()];
     solution.each(texels, |point, irradiance, seen| {
         let part = part_of(point);
-        let chosen = double[part] && passed[part] % stride(counts[part]) == 0;
+        let chosen = double[part] && usize::is_multiple_of(passed[part], stride(counts[part]));
         passed[part] += 1;
         looked[part].texels += usize::from(chosen);
         if chosen && seen && luminance(&irradiance) < dark {
