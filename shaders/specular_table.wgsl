@@ -97,11 +97,11 @@ fn lobe_roughness(lobe: u32) -> f32 {
 }
 
 // g of the shadowing–masking term.
-fn hiding(c: f32, r: f32) -> f32 {
+fn masking(c: f32, r: f32) -> f32 {
     if params.masking == SMITH {
         return smith(c, r);
     }
-    return masking(c, r);
+    return schlick(c, r);
 }
 
 fn node_roughness(node: u32) -> f32 {
@@ -168,7 +168,7 @@ fn specular_table(
                 let drawn = samples[thread - lane + i];
                 // f_s / F = D g(nl) g(nv) / 4.
                 sums[k] += drawn.light
-                    * (0.25 * distribution_at(drawn.sin2, r) * hiding(drawn.nl, r) * hiding(drawn.nv, r));
+                    * (0.25 * distribution_at(drawn.sin2, r) * masking(drawn.nl, r) * masking(drawn.nv, r));
             }
         }
         workgroupBarrier();

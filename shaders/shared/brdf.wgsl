@@ -29,7 +29,7 @@ fn smith(c: f32, r: f32) -> f32 {
 }
 
 // g(c) = 1/(c(1−k)+k), k = (r+1)²/8: the authors'. The shadowing–masking term is G = g(nl)·g(nv)·nl·nv.
-fn masking(c: f32, r: f32) -> f32 {
+fn schlick(c: f32, r: f32) -> f32 {
     let k = (r + 1.0) * (r + 1.0) * 0.125;
     return 1.0 / (c * (1.0 - k) + k);
 }
@@ -59,7 +59,7 @@ fn sample_half_vector(u: f32, r: f32) -> vec2f {
 // w = f_s nl / (p F) of half-vector sampling: g(nl) g(nv) nl vh / nh. The cosine n·l is included; times F it is the
 // estimator's weight.
 fn sample_weight(c: Cosines, r: f32) -> f32 {
-    return masking(c.nl, r) * masking(c.nv, r) * c.nl * c.vh / c.nh;
+    return schlick(c.nl, r) * schlick(c.nv, r) * c.nl * c.vh / c.nh;
 }
 
 // ψ_D = ∂ln D/∂r at a half-vector drawn with the same r: 4(2u−1)/r (method section 4, reduced at the sampled nh).
@@ -69,5 +69,5 @@ fn d_ln_distribution_sampled(u: f32, r: f32) -> f32 {
 
 // ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)].
 fn d_ln_masking(nl: f32, nv: f32, r: f32) -> f32 {
-    return -(r + 1.0) * 0.25 * ((1.0 - nl) * masking(nl, r) + (1.0 - nv) * masking(nv, r));
+    return -(r + 1.0) * 0.25 * ((1.0 - nl) * schlick(nl, r) + (1.0 - nv) * schlick(nv, r));
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Material, RoughnessGradient, Sampling, Sequences, ShadePoint,
 };
-use texir_core::brdf::{fresnel_weight, masking};
+use texir_core::brdf::{fresnel_weight, schlick};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
 use texir_core::lights::{LightDensity, Lights};
@@ -23,6 +23,8 @@ use texir_tests::{gpu, scenes};
 
 /// Sums of some thousand numbers in another order.
 const ROUNDING: Tolerance = Tolerance { absolute: 0.0, relative: 2e-5 };
+/// The same by another traversal, which differs in a few of thousands of hits at the edges of texels.
+const TRACED: Tolerance = Tolerance { absolute: 0.0, relative: 2e-4 };
 
 fn room() -> Scene {
     let mut mesh = scenes::furnished_room();
@@ -99,13 +101,11 @@ fn many_samples_give_the_same_sum_in_every_shape() {
         for (lanes, rays) in shapes {
             backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
             let got = flat(&backend.irradiance(&points, gather, &Silent).unwrap());
-            // Traversals differ, and so do a few of thousands of hits at the edges of texels.
-            let traced = Tolerance { absolute: 0.0, relative: 2e-4 };
-            traced.check(&format!("{samples} samples, {lanes} lanes of {rays}"), &got, &expected);
+            TRACED.check(&format!("{samples} samples, {lanes} lanes of {rays}"), &got, &expected);
         }
         // Negative control: a hundredth of the samples lost would be noticed.
         let darker: Vec<f64> = expected.iter().map(|e| 0.99 * e).collect();
-        assert!(ROUNDING.failures(&darker, &expected).len() >= 3 * points.len());
+        assert!(TRACED.failures(&darker, &expected).len() >= 3 * points.len());
     }
 }
 
@@ -191,7 +191,7 @@ fn a_closed_room_of_one_radiance_is_a_furnace() {
     let sampling = Sampling { samples: 16, seed: 3 };
     let shaded = backend.shade(&pixels, &mirrors, sampling, RoughnessGradient::Exact, &Silent).unwrap();
     let nv = 1.0 / 1.49f64.sqrt();
-    let weight = (masking(nv, f64::from(roughness)) * nv).powi(2);
+    let weight = (schlick(nv, f64::from(roughness)) * nv).powi(2);
     let x = fresnel_weight(nv);
     let reflected = |f0: f64, l: f64| weight * l * (f0 * (1.0 - x) + x);
     let expected: Vec<f64> =

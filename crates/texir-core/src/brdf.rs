@@ -52,7 +52,7 @@ impl Masking {
     /// g(c) at perceptual roughness r.
     pub fn at<R: Real>(self, c: R, r: R) -> R {
         match self {
-            Self::Schlick => masking(c, r),
+            Self::Schlick => schlick(c, r),
             Self::Smith => smith(c, r),
         }
     }
@@ -64,8 +64,8 @@ pub fn smith<R: Real>(c: R, r: R) -> R {
     R::of(2.0) / (c + (a2 + (R::of(1.0) - a2) * c * c).sqrt())
 }
 
-/// g(c) = 1/(c(1−k)+k), k = (r+1)²/8.
-pub fn masking<R: Real>(c: R, r: R) -> R {
+/// g(c) = 1/(c(1−k)+k), k = (r+1)²/8 (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994, with Karis' k).
+pub fn schlick<R: Real>(c: R, r: R) -> R {
     let k = (r + R::of(1.0)) * (r + R::of(1.0)) * R::of(0.125);
     R::of(1.0) / (c * (R::of(1.0) - k) + k)
 }
@@ -118,7 +118,7 @@ pub fn d_ln_distribution_sampled<R: Real>(u: R, r: R) -> R {
 /// ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)].
 pub fn d_ln_masking<R: Real>(nl: R, nv: R, r: R) -> R {
     let one = R::of(1.0);
-    -(r + one) * R::of(0.25) * ((one - nl) * masking(nl, r) + (one - nv) * masking(nv, r))
+    -(r + one) * R::of(0.25) * ((one - nl) * schlick(nl, r) + (one - nv) * schlick(nv, r))
 }
 
 /// An orthonormal basis around a unit normal (Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 2017).

@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }))?;
 
     let scene = Scene::new(room())?;
-    let gpu = Gpu::from_device(device.clone(), queue.clone());
+    let gpu = Gpu::from_device(device.clone(), queue.clone())?;
     let mut backend = GpuBackend::new(&gpu, &scene)?;
     let atlas = Atlas::new(&mut backend, &scene, SIZE, SIZE)?;
     let radiance = emitted(&atlas);

@@ -31,6 +31,24 @@ pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
     }
 }
 
+/// Storage buffers that a kernel binds at most.
+const STORAGE_BUFFERS: u32 = 10;
+/// Threads of a workgroup at most.
+const THREADS: u32 = 256;
+
+/// What a device cannot do that the kernels need.
+fn missing(limits: &wgpu::Limits) -> Option<String> {
+    let needed = [
+        ("max_storage_buffers_per_shader_stage", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),
+        ("max_compute_invocations_per_workgroup", limits.max_compute_invocations_per_workgroup, THREADS),
+        ("max_compute_workgroup_size_x", limits.max_compute_workgroup_size_x, THREADS),
+    ];
+    let short = needed.into_iter().filter(|(_, found, needed)| found < needed);
+    let short: Vec<String> =
+        short.map(|(name, found, needed)| format!("{name} is {found}; expected {needed}")).collect();
+    (!short.is_empty()).then(|| short.join(", "))
+}
+
 impl Gpu {
     /// Makes a device without a window. Of several adapters, discrete GPUs come before integrated ones and those before
     /// software; `adapter` keeps only those whose name contains it (case does not matter).
@@ -55,13 +73,20 @@ impl Gpu {
             ..Default::default()
         }))
         .map_err(|e| Error::device(format!("the adapter {:?} gives no device: {e}", info.name)))?;
-        Ok(Self { device, queue, info: Arc::new(info) })
+        Self::from_device(device, queue)
     }
 
-    /// Borrows a host program's device and queue (both are handles). Make the device with [`required_limits`].
-    pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Self {
+    /// Borrows a host program's device and queue (both are handles). Make the device with [`required_limits`]; one that the
+    /// kernels do not run on is an error that names the limits.
+    pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
-        Self { device, queue, info }
+        match missing(&device.limits()) {
+            None => Ok(Self { device, queue, info }),
+            Some(what) => Err(Error::device(format!(
+                "the device of {:?} is too small: {what}; ask for texir_gpu::required_limits when it is made",
+                info.name
+            ))),
+        }
     }
 
     /// The device.

@@ -80,8 +80,8 @@ pub enum Denoiser {
     /// Regression over neighbours on the surface, guided by two halves of the rays: [`Backend::denoise`].
     Regression,
     /// Intel's Open Image Denoise, guided by normals, for comparison: it sees the map as a picture, so that charts of the
-    /// atlas that lie beside each other have a say in each other. It needs all of the map in memory.
-    #[cfg(feature = "oidn")]
+    /// atlas that lie beside each other have a say in each other. It needs all of the map in memory, and the feature `oidn`: an
+    /// error without.
     OpenImageDenoise,
 }
 

@@ -217,10 +217,17 @@ pub fn solve(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solution> {
-    #[cfg(feature = "oidn")]
     if quality.denoise == Some(Denoiser::OpenImageDenoise) {
-        let noisy = Quality { denoise: None, ..*quality };
-        return solve(backend, mesh, texels, &noisy, checkpoints, progress)?.denoised_as_a_picture(texels, progress);
+        #[cfg(not(feature = "oidn"))]
+        return Err(crate::error::Error::invalid(
+            "Open Image Denoise was asked for, but texir is built without it; build it with the feature `oidn`",
+        ));
+        #[cfg(feature = "oidn")]
+        {
+            let noisy = Quality { denoise: None, ..*quality };
+            return solve(backend, mesh, texels, &noisy, checkpoints, progress)?
+                .denoised_as_a_picture(texels, progress);
+        }
     }
     if quality.error.is_none() && quality.denoise.is_none() {
         return as_gathered(backend, texels, quality.gather, checkpoints, progress);

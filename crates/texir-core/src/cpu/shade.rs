@@ -4,8 +4,8 @@
 use super::trace::{Lighting, Trace};
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::{
-    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, masking, sample_cos2,
-    sample_weight,
+    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, sample_cos2, sample_weight,
+    schlick,
 };
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -77,7 +77,7 @@ fn sample_lobe<R: Real>(
             let d_vh = view.dot(azimuth * cos - normal * sin) * d_theta;
             let d_nl = two * (d_vh * c.nh + c.vh * d_nh);
             let k = (r + one) * (r + one) * R::of(0.125);
-            let d_ln_w = d_ln_masking(c.nl, c.nv, r) - (one - k) * masking(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
+            let d_ln_w = d_ln_masking(c.nl, c.nv, r) - (one - k) * schlick(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
                 - d_nh / c.nh;
             let slope = R::of(-5.55472 * 2.0) * c.vh - R::of(6.98316);
             (d_ln_w, x * R::of(std::f64::consts::LN_2) * slope * d_vh)
