@@ -87,6 +87,11 @@ impl Environment {
         &self.bright
     }
 
+    /// Bytes that it takes, here and in a backend.
+    pub fn memory(&self) -> u64 {
+        2 * (size_of_val(&self.radiance.data[..]) + size_of_val(&self.bright.density[..])) as u64
+    }
+
     /// Radiance arriving from the unit direction.
     pub fn towards<R: Real>(&self, direction: V3<R>) -> V3<R> {
         V3::of(self.radiance.data[self.pixel(direction)])

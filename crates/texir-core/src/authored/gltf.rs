@@ -138,6 +138,11 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
 }
 
 impl Model {
+    /// Bytes of the images that its materials are looked up in.
+    pub fn memory(&self) -> u64 {
+        self.images.iter().flatten().map(|image| image.as_raw().len() as u64).sum()
+    }
+
     /// What the scene emits and reflects at the texels of its lightmap; the mean over a few points of each.
     pub fn surfaces(
         &self,

@@ -58,14 +58,15 @@ pub fn keep_within(
 }
 
 /// [`keep_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of every
-/// texel besides goes to files where it does not fit.
+/// texel besides goes to files where it does not fit. `materials` are the bytes of images and environment.
 pub fn keep_bounces_within(
     limit: ByteSize,
     folder: &Path,
     mesh: &Mesh,
+    materials: u64,
     [width, height]: [usize; 2],
 ) -> Result<Workspace> {
-    let (beside, texels) = (BASE + Scene::memory(mesh), (width * height) as u64);
+    let (beside, texels) = (BASE + Scene::memory(mesh) + materials, (width * height) as u64);
     if beside + texels * (SURFACES + BOUNCING) <= limit.0 {
         return Ok(Workspace::Memory);
     }
@@ -80,9 +81,10 @@ pub fn keep_bounces_within(
     let largest = (width.max(height) as f64 * share.sqrt()) as usize / 64 * 64;
     let advice = if largest > 0 { format!("raise it, or bake {largest} texels a side") } else { "raise it".into() };
     Err(Error::invalid(format!(
-        "the limit of memory is {limit}, but all the light of a scene with {} triangles on a map of {width}×{height} texels needs about \
-         {least}: {advice}",
-        mesh.triangles.len()
+        "the limit of memory is {limit}, but all the light of a scene with {} triangles and {} of images on a map of {width}×{height} texels \
+         needs about {least}: {advice}",
+        mesh.triangles.len(),
+        ByteSize(materials)
     )))
 }
 

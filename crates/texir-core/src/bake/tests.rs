@@ -347,7 +347,9 @@ fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
 #[test]
 fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     let (scene, _) = strips();
-    let plan = |limit, side: usize| keep_bounces_within(limit, Path::new("x.partial"), &scene.mesh, [side; 2]);
+    let beside =
+        |limit, images, side: usize| keep_bounces_within(limit, Path::new("x.partial"), &scene.mesh, images, [side; 2]);
+    let plan = |limit, side| beside(limit, 0, side);
     assert_eq!(plan(ByteSize::gib(1), 1024).unwrap(), Workspace::Memory);
     let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 2048).unwrap() else { panic!("in memory") };
     assert!(memory < ByteSize::mib(720) && memory > ByteSize::mib(600), "{memory}");
@@ -356,4 +358,6 @@ fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     assert!((2048..4096).contains(&side) && plan(ByteSize::gib(1), side).is_ok(), "{error}");
     let error = plan(ByteSize::mib(1), 64).unwrap_err().to_string();
     assert!(error.ends_with(": raise it"), "{error}");
+    let error = beside(ByteSize::gib(1), 1 << 30, 64).unwrap_err().to_string();
+    assert!(error.contains("1.0 GiB of images") && plan(ByteSize::gib(1), 64).is_ok(), "{error}");
 }

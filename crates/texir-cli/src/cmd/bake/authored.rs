@@ -94,7 +94,10 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let scene = Scene::new(model.mesh.clone())?;
     let mut backend = device::open(&scene, session.config, session.console)?;
     let workspace = match bake.max_memory {
-        Some(limit) => keep_bounces_within(limit, &bake.partial(), &scene.mesh, model.size)?,
+        Some(limit) => {
+            let materials = model.memory() + environment.as_ref().map_or(0, Environment::memory);
+            keep_bounces_within(limit, &bake.partial(), &scene.mesh, materials, model.size)?
+        }
         None => Workspace::Memory,
     };
     let prepared = prepare(backend.as_mut(), &scene, &model, environment, workspace, (bake, session));

@@ -229,6 +229,13 @@ impl<'a> AlbedoProblem<'a> {
         noise
     }
 
+    /// Improves `albedo` at a known roughness of every texel by `rounds` runs of the solver.
+    pub fn solve_at(&self, albedo: &mut [Vec3A], roughness: &[f32], rounds: u32) {
+        let roughness = Roughness::Texels(roughness);
+        let (target, sigma) = (self.target(&roughness), self.noise_at(&roughness));
+        self.solve(albedo, &target, &sigma, rounds, self.settings.iterations);
+    }
+
     /// Improves `albedo` for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
     pub fn solve(&self, albedo: &mut [Vec3A], target: &Target, sigma: &[f32], rounds: u32, iterations: u32) {
         for _ in 0..rounds {

@@ -18,6 +18,8 @@ const COLOUR_TEXELS: u32 = 20;
 const STRANGERS: f32 = 1e-3;
 /// Likeness to others, in sum, of which half is believed.
 const ENOUGH: f32 = 0.1;
+/// Segments that speak, at most: those that are believed most. Scans may have a hundred thousand.
+const SPEAKERS: usize = 4096;
 
 /// What is known of a segment.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +39,12 @@ pub struct Known {
 /// What every segment is drawn to: the roughness to be expected of it by that of the others, worth the pixels at which a segment is
 /// believed half, or less where there are only strangers; [`RoughnessSettings::start`] where nobody knows anything.
 pub fn parents(segments: &[Known], settings: &RoughnessSettings) -> Vec<Parent> {
-    let speak: Vec<(usize, &Known)> = segments.iter().enumerate().filter(|(_, known)| known.believed > 0.0).collect();
+    let mut speak: Vec<(usize, &Known)> =
+        segments.iter().enumerate().filter(|(_, known)| known.believed > 0.0).collect();
+    if speak.len() > SPEAKERS {
+        speak.sort_by(|(_, a), (_, b)| b.believed.total_cmp(&a.believed));
+        speak.truncate(SPEAKERS);
+    }
     let expected = |(i, own): (usize, &Known)| {
         let others = speak.iter().filter(|(j, _)| *j != i);
         let (sum, weight) = others.fold((0.0, 0.0), |(sum, weight), (_, other)| {
@@ -139,6 +146,20 @@ mod tests {
         let faint = Known { believed: 0.01, ..second };
         let third = expected(&[first, faint], unknown(TABLE, 0, Some(WOOD)), &settings).roughness;
         assert!((third - 0.2).abs() < 0.01, "{third}");
+    }
+
+    #[test]
+    fn of_very_many_those_speak_that_are_believed_most() {
+        let settings = RoughnessSettings::default();
+        let sure = Known { believed: 0.9, ..known(TABLE, 0, WOOD, 0.2) };
+        let unsure = Known { believed: 0.5, ..known(TABLE, 0, WOOD, 0.8) };
+        let mut all = vec![unsure; SPEAKERS];
+        all.extend(vec![sure; SPEAKERS]);
+        all.push(unknown(TABLE, 0, Some(WOOD)));
+        assert!((parents(&all, &settings).last().unwrap().roughness - 0.2).abs() < 1e-3);
+        // Negative control: of a few less, all do.
+        let few: Vec<Known> = all[SPEAKERS / 2..].iter().step_by(2).copied().collect();
+        assert!(parents(&few, &settings).last().unwrap().roughness > 0.25);
     }
 
     #[test]

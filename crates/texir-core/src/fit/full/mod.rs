@@ -1,7 +1,8 @@
 //! The fit in full mode: light samples drawn beforehand, albedo by robust least squares, roughness by a scan per segment.
 //!
-//! labels → observations → segments → scan (→ metals) → hierarchy → joints → albedo. No ray is traced after the observations.
-//! A first, coarse round tells what light surfaces send, of which irradiance and observations are made again.
+//! labels → observations → segments → scan (→ metals) → hierarchy → colours, finishes → joints → albedo → what is hidden. No ray is
+//! traced after the observations. A first, coarse round tells what light surfaces send, of which irradiance and observations are
+//! made again.
 
 pub mod albedo;
 pub mod automatic;
@@ -37,11 +38,11 @@ use crate::bake::{self, Buried};
 use crate::capture::View;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
-use crate::fit::settings::{AlbedoSettings, FullSettings, RoughnessSettings};
+use crate::fit::settings::{FullSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
-use albedo::{AlbedoProblem, Roughness};
+use albedo::AlbedoProblem;
 use hierarchy::{Parent, settle};
 use labels::Labels;
 use local::Surface;
@@ -100,9 +101,6 @@ fn of_texels(map: &Rgb, atlas: &Atlas) -> Vec<Vec3A> {
     atlas.texels.iter().map(|&t| map.data[t as usize].into()).collect()
 }
 
-/// Irradiance that is taken for none.
-const DARK: f32 = 1e-6;
-
 /// The materials that explain what is seen.
 fn recover(
     ground: &Ground<'_>,
@@ -112,27 +110,21 @@ fn recover(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
-    let Ground { scene, atlas, adjacency, .. } = *ground;
+    let Ground { scene, atlas, adjacency, plan, .. } = *ground;
     let texel = atlas.typical_texel(&scene.mesh);
-    let diffuse_albedo = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
-    let apparent: Vec<Vec3A> =
-        of_texels(&ground.tbl.radiance, atlas).into_iter().zip(irradiance).map(diffuse_albedo).collect();
-    let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, ground.plan);
+    let apparent = apparent_albedo(ground, irradiance);
+    let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, plan);
     drop(apparent);
     let segment = (&segments.segment[..], segments.count());
     let mut problem =
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
+
+    // One roughness for each segment,
     let Scanned { diffuse, mut albedo, evidence, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
-    let AlbedoSettings { rounds, iterations, .. } = settings.albedo;
-    let solve = |albedo: &mut [Vec3A], roughness: &[f32], rounds: u32| {
-        let roughness = Roughness::Texels(roughness);
-        problem.solve(albedo, &problem.target(&roughness), &problem.noise_at(&roughness), rounds, iterations);
-    };
+    problem.solve_at(&mut albedo, &segments.of_texels(&by_segment), 1);
 
-    let of_texels: Vec<f32> = segments.segment.iter().map(|&s| by_segment[s as usize]).collect();
-    solve(&mut albedo, &of_texels, 1);
-    let palettes = problem.palettes(&albedo, &settings.palette);
+    // others for its colours, and where it has two finishes,
     let half = evidence.halves(&seen.views);
     let surface = Surface {
         width: atlas.width,
@@ -144,41 +136,56 @@ fn recover(
         block: (settings.roughness.local.block / texel).round().max(2.0),
     };
     let blocks = surface.blocks(&evidence);
+    let palettes = problem.palettes(&albedo, &settings.palette);
     let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
     let mut roughness = local::refine(&surface, &blocks, &by_segment, &of_colours, &settings.roughness.local);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
-    solve(&mut albedo, &roughness, 1);
+    problem.solve_at(&mut albedo, &roughness, 1);
+
+    // and one for its joints, where albedo shows them.
     let joints = joints::find(&problem, &evidence, &half, (&albedo, &roughness), texel, &settings.roughness, progress)?;
     let with_joints =
         |roughness: &[f32]| -> Vec<f32> { joints.iter().zip(roughness).map(|(j, r)| j.unwrap_or(*r)).collect() };
-    solve(&mut albedo, &with_joints(&roughness), rounds);
+    problem.solve_at(&mut albedo, &with_joints(&roughness), settings.albedo.rounds);
 
+    // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by blurring.
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
     let outlier = hidden::outliers(&albedo, segment);
     let known = |t: usize| seen.is_seen[t] && !outlier[t];
-    // What no view sees has no joints: lines do not go on by blurring.
-    let models = segments.models(known);
-    let model: Vec<u32> = segments.segment.iter().map(|s| models[*s as usize]).collect();
+    let model = segments.of_texels(&segments.models(known));
     hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
     let roughness = with_joints(&roughness);
+
     // What metal shows does not depend on irradiance.
     let depends = |t: usize| seen.is_seen[t] && problem.metal.get(t) != Some(&true);
     let corrected = with_what_albedo_gives_up(irradiance, (&albedo, &painted), depends);
-    let painted: Vec<[f32; 3]> = painted.iter().map(|a| a.to_array()).collect();
-    let all = vec![true; painted.len()];
     let confidence = confidence::confidence(&surface, &blocks, &evidence.by_segment(), &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
+    let all = vec![true; painted.len()];
+    let rgb = |values: &[Vec3A]| {
+        let values: Vec<[f32; 3]> = values.iter().map(Vec3A::to_array).collect();
+        atlas.scatter_padded(&values, &all, [0.0; 3], bake::PADDING)
+    };
+    let gray = |values: &[f32]| atlas.scatter_padded(values, &all, 0.0, bake::PADDING);
     Ok(Materials {
-        albedo: atlas.scatter_padded(&painted, &all, [0.0; 3], bake::PADDING),
-        roughness: atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
-        metallic: settings.metallic.enabled.then(|| atlas.scatter_padded(&metallic, &all, 0.0, bake::PADDING)),
-        irradiance: atlas.scatter_padded(&corrected, &all, [0.0; 3], bake::PADDING),
+        albedo: rgb(&painted),
+        roughness: gray(&roughness),
+        metallic: settings.metallic.enabled.then(|| gray(&metallic)),
+        irradiance: rgb(&corrected),
         diffuse,
         masking: settings.masking,
-        confidence: Some(atlas.scatter_padded(&confidence, &all, 0.0, bake::PADDING)),
+        confidence: Some(gray(&confidence)),
     })
+}
+
+/// The albedo of every texel if all that it sends were reflected diffusely.
+fn apparent_albedo(ground: &Ground<'_>, irradiance: &[Vec3A]) -> Vec<Vec3A> {
+    /// Irradiance that is taken for none.
+    const DARK: f32 = 1e-6;
+    let of_texel = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
+    of_texels(&ground.tbl.radiance, ground.atlas).into_iter().zip(irradiance).map(of_texel).collect()
 }
 
 /// Irradiance by which what the images show stays what they show when the albedo that they ask for is `painted` otherwise, at the texels
@@ -187,11 +194,11 @@ fn with_what_albedo_gives_up(
     irradiance: &[Vec3A],
     (albedo, painted): (&[Vec3A], &[Vec3A]),
     depends: impl Fn(usize) -> bool + Sync,
-) -> Vec<[f32; 3]> {
+) -> Vec<Vec3A> {
     const MOST: Vec3A = Vec3A::splat(10.0);
     let of_texel = |t: usize| {
         let given_up = (albedo[t] / painted[t].max(Vec3A::splat(1e-3))).clamp(MOST.recip(), MOST);
-        (irradiance[t] * if depends(t) { given_up } else { Vec3A::ONE }).to_array()
+        irradiance[t] * if depends(t) { given_up } else { Vec3A::ONE }
     };
     (0..irradiance.len()).into_par_iter().map(of_texel).collect()
 }

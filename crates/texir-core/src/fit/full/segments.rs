@@ -1,6 +1,6 @@
 //! From labels per pixel to segments on the surface: connected regions of one class in one room.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 
 use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
@@ -34,18 +34,29 @@ impl Segments {
         self.class.len()
     }
 
+    /// What every texel has of its segment's.
+    pub fn of_texels<T: Copy>(&self, values: &[T]) -> Vec<T> {
+        self.segment.iter().map(|s| values[*s as usize]).collect()
+    }
+
     /// What every segment is painted after where it is not known itself: itself, if it is `known` anywhere; else the best known
     /// one of its class, in its room if there is one. `known` has a value per texel.
     pub fn models(&self, known: impl Fn(usize) -> bool) -> Vec<u32> {
         let mut texels = vec![0u32; self.count()];
         (0..self.segment.len()).filter(|t| known(*t)).for_each(|t| texels[self.segment[t] as usize] += 1);
-        let best = |like: &dyn Fn(usize) -> bool| {
-            (0..self.count()).filter(|s| texels[*s] > 0 && like(*s)).max_by_key(|s| texels[*s])
+        let best = |key: &dyn Fn(usize) -> u32| {
+            let mut best: HashMap<u32, usize> = HashMap::new();
+            for s in (0..self.count()).filter(|s| texels[*s] > 0) {
+                let kept = best.entry(key(s)).or_insert(s);
+                if texels[s] > texels[*kept] {
+                    *kept = s;
+                }
+            }
+            best
         };
+        let (in_room, anywhere) = (best(&|s| self.class_in_room[s]), best(&|s| u32::from(self.class[s])));
         let model = |s: usize| match texels[s] {
-            0 => best(&|other| self.class_in_room[other] == self.class_in_room[s])
-                .or_else(|| best(&|other| self.class[other] == self.class[s]))
-                .unwrap_or(s),
+            0 => *in_room.get(&self.class_in_room[s]).or(anywhere.get(&u32::from(self.class[s]))).unwrap_or(&s),
             _ => s,
         };
         (0..self.count()).map(|s| model(s) as u32).collect()

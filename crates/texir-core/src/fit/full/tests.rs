@@ -464,6 +464,6 @@ fn irradiance_takes_what_albedo_gives_up_but_not_of_metal() {
     for c in 0..3 {
         assert!((found[0][c] * painted[0][c] - irradiance[0][c] * albedo[0][c]).abs() < 1e-6, "{found:?}");
     }
-    assert_eq!(found[1], [2.0; 3]);
-    assert_eq!(found[2], [20.0; 3], "at most ten times");
+    assert_eq!(found[1], Vec3A::splat(2.0));
+    assert_eq!(found[2], Vec3A::splat(20.0), "at most ten times");
 }
