@@ -41,7 +41,7 @@ pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Masking {
-    /// [`masking`]: Schlick's approximation as TexIR has it, with the k that Karis gives for point lights.
+    /// [`schlick`]: Schlick's approximation as TexIR has it, with the k that Karis gives for point lights.
     #[default]
     Schlick,
     /// [`smith`]: Smith's term of GGX, as glTF 2.0 (appendix B.3.2) and engines have it.
