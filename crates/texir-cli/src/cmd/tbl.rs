@@ -51,6 +51,8 @@ impl Tbl {
             return Err(Failure::new(format!("{}: an HDR texture is written as .exr", self.output.display())));
         }
         let mut capture = self.capture.load(session)?;
+        // The one that the folder has is not looked at, and may be made anew.
+        capture.tbl = None;
         check_outputs(&[&self.output], &capture.files())?;
         self.corrections.apply(&mut capture, session)?;
         let scene = Scene::new(capture.mesh.clone())?;

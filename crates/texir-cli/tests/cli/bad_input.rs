@@ -255,7 +255,12 @@ fn outputs_that_would_replace_what_they_are_made_of() {
     let fitting = fit(&capture.path(), &capture.path(), &["--backend", "cpu", "--no-eval"]);
     keeps(&mesh, &fitting.iter().map(|argument| argument.as_os_str()).collect::<Vec<_>>(), &inside);
 
-    // Negative control: beside them is fine.
+    // Negative controls: beside them is fine, and an HDR texture may be made anew.
+    let texture = capture.file("hdr_texture.exr");
+    let tbl = [o("tbl"), input, o("-o"), texture.as_os_str(), o("--size"), o("16"), o("--backend"), o("cpu")];
+    succeed(&tbl);
+    succeed(&tbl);
+    std::fs::remove_file(&texture).unwrap();
     let out = capture.out("out");
     succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--no-eval"]));
     let render = [o("render"), out.as_os_str(), o("--cameras"), of, o("--spp"), o("1"), o("-o")];
