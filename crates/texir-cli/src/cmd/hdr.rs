@@ -8,7 +8,7 @@ use serde::Serialize;
 use texir_core::hdr::{self, Merged, ResponseChoice, Shot};
 use texir_core::image_io::{TransferCurve, write_rgb};
 
-use super::{Session, check_outputs};
+use super::{Session, check_exr, check_outputs};
 use crate::failure::Failure;
 
 /// Arguments of `texir hdr`.
@@ -69,9 +69,7 @@ struct Summary {
 impl Hdr {
     /// Merges and writes.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        if self.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("exr")) {
-            return Err(Failure::new(format!("{}: a linear image is written as .exr", self.output.display())));
-        }
+        check_exr(&self.output)?;
         check_outputs(&[&self.output], &self.shots)?;
         let shots = self.shots()?;
         let Merged { radiance, clipped, ghosts } = hdr::merge(&shots, self.response, session.console)?;

@@ -127,6 +127,14 @@ fn check_outputs(outputs: &[&Path], inputs: &[impl AsRef<Path>]) -> Result<(), F
     Ok(())
 }
 
+/// Errors where what is written as OpenEXR alone is to have another ending.
+fn check_exr(output: &Path) -> Result<(), Failure> {
+    if output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) {
+        return Ok(());
+    }
+    Err(Failure::new(format!("{}: the output is an OpenEXR; expected a name that ends in .exr", output.display())))
+}
+
 /// Errors where a map is to have a side that no map can have.
 fn check_side(size: usize) -> Result<(), Failure> {
     if (1..=LARGEST_SIDE).contains(&size) {

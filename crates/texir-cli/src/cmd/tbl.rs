@@ -10,7 +10,7 @@ use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
 use super::corrections::CorrectionArgs;
-use super::{CaptureArgs, Session, check_outputs, check_side};
+use super::{CaptureArgs, Session, check_exr, check_outputs, check_side};
 use crate::device;
 use crate::failure::Failure;
 
@@ -47,9 +47,7 @@ impl Tbl {
             return Err(Failure::new("--tbl names an HDR texture, which is what this command makes of the views")
                 .help("leave it out; --output says where the texture goes"));
         }
-        if self.output.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("exr")) {
-            return Err(Failure::new(format!("{}: an HDR texture is written as .exr", self.output.display())));
-        }
+        check_exr(&self.output)?;
         let mut capture = self.capture.load(session)?;
         // The one that the folder has is not looked at, and may be made anew.
         capture.tbl = None;

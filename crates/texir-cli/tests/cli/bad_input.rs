@@ -250,6 +250,10 @@ fn outputs_that_would_replace_what_they_are_made_of() {
     keeps(&image, &[o("tbl"), input, o("-o"), hdr, o("--size"), o("16")], &replaced);
     keeps(&image, &[o("bake"), input, o("-o"), hdr, o("--size"), o("16"), o("--spp"), o("4")], &replaced);
     keeps(&image, &[o("hdr"), hdr, hdr, o("--times"), o("1,2"), o("-o"), hdr], &replaced);
+    let picture = capture.out("picture.png");
+    for command in [&[o("tbl"), input][..], &[o("hdr"), hdr, hdr, o("--times"), o("1,2")]] {
+        keeps(&image, &[command, &[o("-o"), picture.as_os_str()]].concat(), &["picture.png", "ends in .exr"]);
+    }
     let inside = ["in it, which the output is made of", "another folder"];
     keeps(&image, &[o("inspect"), input, o("--overlay"), folder], &inside);
     let fitting = fit(&capture.path(), &capture.path(), &["--backend", "cpu", "--no-eval"]);

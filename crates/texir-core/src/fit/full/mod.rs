@@ -48,6 +48,7 @@ use labels::Labels;
 use local::Surface;
 use observations::{Observations, Observer};
 use palette::Palettes;
+use scan::Tally;
 use segments::Segments;
 
 /// Fits the materials, and tells what radiance surfaces send by them if irradiance was gathered again from that
@@ -120,7 +121,7 @@ fn recover(
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
 
     // One roughness for each segment,
-    let Scanned { diffuse, mut albedo, evidence, by_segment } =
+    let Scanned { diffuse, mut albedo, evidence, tallies, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
     problem.solve_at(&mut albedo, &segments.of_texels(&by_segment), 1);
 
@@ -161,7 +162,7 @@ fn recover(
     // What metal shows does not depend on irradiance.
     let depends = |t: usize| seen.is_seen[t] && problem.metal.get(t) != Some(&true);
     let corrected = with_what_albedo_gives_up(irradiance, (&albedo, &painted), depends);
-    let confidence = confidence::confidence(&surface, &blocks, &evidence.by_segment(), &roughness);
+    let confidence = confidence::confidence(&surface, &blocks, &tallies, &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
     let all = vec![true; painted.len()];
     let rgb = |values: &[Vec3A]| {
@@ -208,6 +209,9 @@ struct Scanned {
     diffuse: DiffuseModel,
     albedo: Vec<Vec3A>,
     evidence: scan::Evidence,
+    /// What it says of every segment,
+    tallies: Vec<Tally>,
+    /// and the roughness that they take by that.
     by_segment: Vec<f32>,
 }
 
@@ -224,10 +228,11 @@ fn scan_models(
         problem.diffuse = diffuse;
         let mut albedo = problem.start();
         let evidence = scan::scan(problem, &diffuse.to_string(), &settings.roughness, &mut albedo, progress)?;
-        let by_segment = roughness_of_segments(problem, segments, (&evidence, &albedo), &settings.roughness);
+        let tallies = evidence.by_segment();
+        let by_segment = roughness_of_segments(problem, segments, (&tallies, &albedo), &settings.roughness);
         let grazing = evidence.grazing(&by_segment);
         if best.as_ref().is_none_or(|(least, _)| grazing < *least) {
-            best = Some((grazing, Scanned { diffuse, albedo, evidence, by_segment }));
+            best = Some((grazing, Scanned { diffuse, albedo, evidence, tallies, by_segment }));
         }
     }
     let (_, mut scanned) = best.ok_or_else(|| Error::invalid("no diffuse model to choose from"))?;
@@ -250,28 +255,28 @@ fn find_metals(
     let mut albedo = problem.start();
     let evidence = scan::scan(problem, "metal", &settings.roughness, &mut albedo, progress)?;
     let pixels = settings.roughness.segment_pixels;
-    let tallies = [&scanned.evidence, &evidence].map(scan::Evidence::by_segment);
-    let metal = metals::find([&tallies[0], &tallies[1]], pixels, &settings.metallic);
+    let metal = metals::find([&scanned.tallies, &evidence.by_segment()], pixels, &settings.metallic);
     problem.metal = segments.segment.iter().map(|s| metal[*s as usize]).collect();
     scanned.evidence.take(&evidence, &metal);
     (&mut scanned.albedo, albedo, &problem.metal)
         .into_par_iter()
         .filter(|(_, _, metal)| **metal)
         .for_each(|(albedo, of_metal, _)| *albedo = of_metal);
-    let found = (&scanned.evidence, &scanned.albedo[..]);
+    scanned.tallies = scanned.evidence.by_segment();
+    let found = (&scanned.tallies[..], &scanned.albedo[..]);
     scanned.by_segment = roughness_of_segments(problem, segments, found, &settings.roughness);
     Ok(())
 }
 
-/// Roughness of every segment by a scan's evidence, and by the albedo that it left.
+/// Roughness of every segment by what a scan says of it, and by the albedo that it left.
 fn roughness_of_segments(
     problem: &AlbedoProblem<'_>,
     segments: &Segments,
-    (evidence, albedo): (&scan::Evidence, &[Vec3A]),
+    (tallies, albedo): (&[Tally], &[Vec3A]),
     settings: &RoughnessSettings,
 ) -> Vec<f32> {
     let colours = kin::colours(problem.segment, albedo, &problem.seen.is_seen);
-    hierarchy::of_segments(segments, &evidence.by_segment(), &colours, settings)
+    hierarchy::of_segments(segments, tallies, &colours, settings)
 }
 
 /// The texel that each pixel sees most of; [`NONE`] for pixels that do not count.
