@@ -159,7 +159,7 @@ fn gather_lights(
         let cosine = dot(own.point.normal, direction);
         // A negative limit makes the traversal end at once for lights below the horizon.
         let hit = closest_hit(own.point.position, direction, select(-1.0, T_FAR, cosine > 0.0));
-        if hit.primitive == light.primitive {
+        if hit.primitive != MISS && mesh_triangle(hit.primitive) == light.triangle {
             sum += contribution(hit, direction, cosine, own.table).xyz;
         }
     }

@@ -58,8 +58,8 @@ struct SpecularTableParams {
 // A direction to trace.
 struct Aim {
     direction: vec3f,
-    // The primitive that it must reach to count, MISS for any.
-    primitive: u32,
+    // The triangle of the mesh that it must reach to count, MISS for any.
+    triangle: u32,
 }
 
 // Sample `s` of the dispatch's technique, from one of the pixel's points.
@@ -67,7 +67,7 @@ fn aim(point: ShadePoint, frame: Frame, s: u32, seed: u32) -> Aim {
     if TECHNIQUE == FROM_LIGHTS {
         let table = light_table(point.position, point.normal);
         let light = light_point(table, sobol2(s, hash2(seed, LOBES + 1u)));
-        return Aim(normalize(light.position - point.position), light.primitive);
+        return Aim(normalize(light.position - point.position), light.triangle);
     }
     if TECHNIQUE == FROM_COSINE {
         return Aim(world_from_frame(frame, cosine_direction(sobol2(s, hash2(seed, LOBES)))), MISS);
@@ -138,7 +138,7 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
             * light_pdf(light_table(point.position, point.normal), primitive, hit.t, dot(normalize(primitive_normal(primitive)), aim.direction));
     let x = fresnel_weight(c.vh);
     let light = radiance_at(hit) * ((params.f0 * (1.0 - x) + x) * c.nl / density);
-    let counts = hit.primitive != MISS && (aim.primitive == MISS || aim.primitive == hit.primitive);
+    let counts = hit.primitive != MISS && (aim.triangle == MISS || aim.triangle == mesh_triangle(hit.primitive));
     return Sample(select(vec3f(0.0), light, counts), sin2, c.nl, c.nv);
 }
 

@@ -37,10 +37,10 @@ struct LightGrid {
 @group(0) @binding(9) var<storage, read> light_cells: array<u32>;
 @group(0) @binding(10) var<uniform> light_grid: LightGrid;
 
-// A point on a light, and the primitive it lies on.
+// A point on a light, and the triangle of the mesh it lies on: rays may meet that in any of its leaves, as another primitive.
 struct LightPoint {
     position: vec3f,
-    primitive: u32,
+    triangle: u32,
 }
 
 // Where the table begins that holds at a point of the surface.
@@ -90,7 +90,7 @@ fn light_point(table: u32, u: vec2f) -> LightPoint {
     let v0 = triangle_part(primitive, 0u).xyz;
     let e1 = triangle_part(primitive, 1u).xyz;
     let e2 = triangle_part(primitive, 2u).xyz;
-    return LightPoint(v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y), primitive);
+    return LightPoint(v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y), mesh_triangle(primitive));
 }
 
 // Density, per solid angle, with which light samples of a table draw a point of `primitive`, `t` metres away and seen under

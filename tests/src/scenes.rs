@@ -94,13 +94,34 @@ impl Builder {
 
 /// A closed 4 × 3 × 2.5 m room with three boxes and a sphere. No ray from inside leaves it.
 pub fn furnished_room() -> Mesh {
+    furnishings().finish()
+}
+
+/// [`furnished_room`] with flat normals, a lamp like a slanting strip below its ceiling, and a radiance atlas in which that alone is bright.
+/// Its triangles' boxes are nearly empty, so that hierarchies keep them in several leaves each.
+pub fn room_with_strip(size: usize) -> (Mesh, Rgb) {
+    let mut b = furnishings();
+    let (column, row) = (b.charts % CHARTS, b.charts / CHARTS);
+    let (from, along, across) = (Vec3::new(0.3, 0.4, 1.9), Vec3::new(3.2, 2.3, 0.4), Vec3::new(-0.07, 0.1, 0.0));
+    b.quad([from, from + across, from + across + along, from + along], [-Vec3::Z; 4]);
+    let mut mesh = b.finish();
+    mesh.flat_normals();
+    let chart = size / CHARTS;
+    let mut light = smooth_light(size).map(|l| l.map(|l| 0.05 * l));
+    for y in row * chart..(row + 1) * chart {
+        light.data[y * size + column * chart..][..chart].fill([9.0, 7.0, 4.0]);
+    }
+    (mesh, light)
+}
+
+fn furnishings() -> Builder {
     let mut b = Builder::default();
     b.cuboid(Vec3::ZERO, Vec3::new(4.0, 3.0, 2.5), true);
     b.cuboid(Vec3::new(0.4, 0.3, 0.05), Vec3::new(1.1, 1.0, 0.8), false);
     b.cuboid(Vec3::new(2.6, 1.9, 0.05), Vec3::new(3.5, 2.6, 1.7), false);
     b.cuboid(Vec3::new(1.9, 0.2, 2.2), Vec3::new(2.5, 0.8, 2.4), false);
     b.sphere(Vec3::new(2.2, 1.4, 0.9), 0.45);
-    b.finish()
+    b
 }
 
 /// Radiance that varies smoothly within each chart and by a factor of up to 8 between charts, so that sums are sensitive

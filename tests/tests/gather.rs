@@ -110,6 +110,25 @@ fn many_samples_give_the_same_sum_in_every_shape() {
 }
 
 #[test]
+fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
+    let (mesh, radiance) = scenes::room_with_strip(192);
+    let scene = Scene::new(mesh).unwrap();
+    let strip = scene.mesh.triangles.len() as u32 - 2;
+    let leaves = scene.bvh.primitive_indices.iter().filter(|&&t| t >= strip).count();
+    assert!(leaves > 2, "the strip's triangles are in one leaf each: nothing is tested");
+    let points = points(&scene, 60);
+    let mut cpu = CpuBackend::new(&scene);
+    let mut gpu = GpuBackend::new(&gpu(), &scene).unwrap();
+    let lights = scenes::lights(&mut cpu, &scene, &radiance);
+    assert!(lights.density.iter().skip(strip as usize).all(|d| d.per_area > 0.0), "the strip is no light");
+    let gathered = [&mut cpu as &mut dyn Backend, &mut gpu].map(|backend| {
+        backend.set_tbl(&radiance, &lights).unwrap();
+        flat(&backend.irradiance(&points, Gather::new(64, 64, 5), &Silent).unwrap())
+    });
+    TRACED.check("E beneath the strip", &gathered[1], &gathered[0]);
+}
+
+#[test]
 fn buffers_and_textures_hold_the_same_hierarchy() {
     let gpu = gpu();
     let scene = room();

@@ -227,6 +227,23 @@ fn wgsl_and_twin_agree() {
 }
 
 #[test]
+fn lights_in_several_leaves_of_the_hierarchy_are_reflected_in_full() {
+    let (mesh, radiance) = scenes::room_with_strip(192);
+    let scene = Scene::new(mesh).unwrap();
+    assert!(scene.bvh.primitive_indices.len() > scene.mesh.triangles.len(), "no triangle is in two leaves");
+    let mut cpu = CpuBackend::new(&scene);
+    let mut gpu = GpuBackend::new(&gpu(), &scene).unwrap();
+    let lights = scenes::lights(&mut cpu, &scene, &radiance);
+    let pixels = pixels(&scene, &mut cpu, 61);
+    let sampling = TableSampling { lobe: 1, cosine: 1, light: 14, masking: Masking::Smith, seed: 4 };
+    let found = [&mut cpu as &mut dyn Backend, &mut gpu].map(|backend| {
+        backend.set_tbl(&radiance, &lights).unwrap();
+        flat(&backend.specular_tables(&pixels, DIELECTRIC, sampling, &Silent).unwrap())
+    });
+    HALF.check("tables beneath the strip", &found[1], &found[0]);
+}
+
+#[test]
 fn how_work_is_cut_changes_nothing() {
     let scene = room();
     let radiance = scenes::smooth_light(192);

@@ -6,6 +6,8 @@ use clap::Args;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::{self, Capture, Corrections, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
+use texir_core::mesh::Mesh;
+use texir_core::mesh_io::read_mesh;
 use texir_core::outputs::{CORRECTIONS, FitOutput, METRICS, RUN, Run};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -19,6 +21,9 @@ use crate::figures;
 /// Rays per pixel of the protocol.
 pub const RAYS: u32 = 256;
 
+/// Coordinates of two files are the same up to this: less than a texel of any atlas.
+const SAME_COORDINATES: f32 = 1e-5;
+
 /// Arguments of `texir eval`.
 #[derive(Debug, Args)]
 pub struct Eval {
@@ -27,19 +32,54 @@ pub struct Eval {
     /// Capture with the truth [default: the one that was fitted]
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
+    /// Compare through this mesh instead of the fit's, such as the true one where a scan was fitted: it must have the same
+    /// triangles and coordinates. The figures then say what the textures are worth, without what the scan's geometry costs;
+    /// metrics.json stays as it is
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
     /// Rays per pixel, for its highlights; at least 96
     #[arg(long, default_value_t = RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
 }
 
 impl Eval {
-    /// Evaluates, writes `metrics.json`, prints the table.
+    /// Evaluates, writes `metrics.json` unless the mesh is another, prints the table.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        let output = FitOutput::load(&self.out, session.console)?;
+        let mut output = FitOutput::load(&self.out, session.console)?;
+        if let Some(path) = &self.mesh {
+            output.mesh = with_atlas_of(&output.mesh, path)?;
+        }
         let capture = load_capture(&self.out, self.capture.as_deref(), session)?;
         let evaluation = of_output(&output, &capture, self.spp, session, &mut |_| ())?;
-        write_metrics(&self.out, &evaluation)?;
+        if self.mesh.is_none() {
+            write_metrics(&self.out, &evaluation)?;
+        }
         session.print(&evaluation, || figures::text(&evaluation))
+    }
+}
+
+/// The mesh of a file, whose triangles lie in the atlas as those of `fitted` do.
+fn with_atlas_of(fitted: &Mesh, path: &Path) -> Result<Mesh, Failure> {
+    let mesh = read_mesh(path)?.mesh;
+    let [found, expected] = [&mesh, fitted].map(|mesh| mesh.triangles.len());
+    if found != expected {
+        return Err(Failure::new(format!(
+            "{}: has {found} triangles; expected the {expected} of the fit's",
+            path.display()
+        )));
+    }
+    let apart = |t: &u32| {
+        let mut corners = mesh.corner_uvs(*t).into_iter().zip(fitted.corner_uvs(*t));
+        corners.any(|(a, b)| !a.abs_diff_eq(b, SAME_COORDINATES))
+    };
+    match (0..expected as u32).find(apart) {
+        None => Ok(mesh),
+        Some(t) => Err(Failure::new(format!(
+            "{}: triangle {t} lies at {} in the atlas; expected {}, as in the mesh of the fit: the textures do not belong to this mesh",
+            path.display(),
+            mesh.corner_uvs(t)[0],
+            fitted.corner_uvs(t)[0],
+        ))),
     }
 }
 

@@ -118,6 +118,47 @@ fn fit_render_eval_and_report_on_the_cpu() {
 }
 
 #[test]
+fn textures_are_evaluated_through_another_mesh_of_their_atlas() {
+    let capture = Capture::new();
+    let out = capture.out("out");
+    succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--no-eval", "--quiet"]));
+    let text = std::fs::read_to_string(out.join("mesh.obj")).unwrap();
+    let other = capture.out("other.obj");
+    let through = [&out, &other].map(|path| path.as_os_str());
+    let evaluate = [
+        "eval".as_ref(),
+        through[0],
+        "--mesh".as_ref(),
+        through[1],
+        "--json".as_ref(),
+        "--backend".as_ref(),
+        "cpu".as_ref(),
+    ];
+    let moved = |line: &str, prefix: &str, by: f32| match line.strip_prefix(prefix) {
+        Some(numbers) => {
+            let numbers = numbers.split_whitespace().map(|n| (n.parse::<f32>().unwrap() + by).to_string());
+            format!("{prefix}{}\n", numbers.collect::<Vec<_>>().join(" "))
+        }
+        None => format!("{line}\n"),
+    };
+    let edited = |prefix: &str, by: f32| text.lines().map(|line| moved(line, prefix, by)).collect::<String>();
+    let albedo = |said: &str| json(said).pointer("/result/train/albedo/per_image/psnr").unwrap().as_f64().unwrap();
+
+    std::fs::write(&other, &text).unwrap();
+    let same = albedo(&succeed(&evaluate).out);
+    std::fs::write(&other, edited("v ", 0.3)).unwrap();
+    let off = albedo(&succeed(&evaluate).out);
+    assert!(off < same - 1.0, "{off} through a mesh half a metre away, {same} through the fit's own");
+    assert!(!out.join("metrics.json").exists(), "figures through another mesh are not those of the fit");
+
+    std::fs::write(&other, edited("vt ", 0.01)).unwrap();
+    run(&evaluate).complains(&["other.obj", "triangle 0", "in the atlas"]);
+    let fewer = text.lines().rev().skip(1).map(|line| format!("{line}\n")).collect::<Vec<_>>();
+    std::fs::write(&other, fewer.into_iter().rev().collect::<String>()).unwrap();
+    run(&evaluate).complains(&["other.obj", "triangles; expected the"]);
+}
+
+#[test]
 fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
     let capture = Capture::new();
     let out = capture.out("out");
