@@ -18,8 +18,9 @@
 override LANES: u32 = 64u;
 
 struct IrradianceParams {
-    // Points of this dispatch.
-    count: u32,
+    // Points of this dispatch, of those that are bound.
+    first_item: u32,
+    end_item: u32,
     // Samples of this dispatch.
     first_sample: u32,
     end_sample: u32,
@@ -61,8 +62,10 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
     let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive].per_area > 0.0);
-    let beyond = beyond_mesh(environment_towards(direction), cosine);
-    return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
+    if hit.primitive == MISS {
+        return vec4f(beyond_mesh(environment_towards(direction), cosine), 0.0);
+    }
+    return vec4f(light, select(0.0, 1.0, back));
 }
 
 // L cosθ / (n_c cosθ/π + n_s p_s) of what arrives from the environment: radiance, and p_s.
@@ -72,7 +75,7 @@ fn beyond_mesh(seen: vec4f, cosine: f32) -> vec3f {
 
 // The point that a thread works on.
 struct Share {
-    // Index within the dispatch, and which of the point's lanes the thread is.
+    // Its index, and which of the point's lanes the thread is.
     item: u32,
     lane: u32,
     exists: bool,
@@ -85,8 +88,8 @@ struct Share {
 }
 
 fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
-    let item = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
-    let point = points[min(item, params.count - 1u)];
+    let item = params.first_item + linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let point = points[min(item, params.end_item - 1u)];
     var seed = hash2(params.seed, point.sequence);
     var stretch = params.part;
     if params.width > 0u {
@@ -96,7 +99,7 @@ fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
         stretch = along_z_curve(at % Z_SIDE, hash2(seed, 0u));
     }
     let table = light_table(point.position, point.normal);
-    return Share(item, thread % LANES, item < params.count, point, seed, stretch, table);
+    return Share(item, thread % LANES, item < params.end_item, point, seed, stretch, table);
 }
 
 fn sample_count() -> u32 {

@@ -1,6 +1,6 @@
-// Irradiance from one punctual light, with a shadow ray (glTF's KHR_lights_punctual).
+// Adds the irradiance from one punctual light, with a shadow ray (glTF's KHR_lights_punctual).
 //
-// One thread per point; no barriers. Reads 32 and writes 16 bytes per point.
+// One thread per point; no barriers. Reads 48 and writes 16 bytes per point.
 
 #import bvh
 #import hit
@@ -28,7 +28,7 @@ struct PunctualParams {
 @group(1) @binding(0) var<uniform> light: PunctualLight;
 @group(1) @binding(1) var<uniform> params: PunctualParams;
 @group(1) @binding(2) var<storage, read> points: array<SurfacePoint>;
-// E, cosine included, not divided by π; w is padding.
+// The sum of E over lights, cosine included, not divided by π; w is padding.
 @group(1) @binding(3) var<storage, read_write> irradiance: array<vec4f>;
 
 @compute @workgroup_size(64)
@@ -59,5 +59,5 @@ fn punctual(
     let faces = cosine > 0.0 && falloff > 0.0;
     let hit = closest_hit(point.position, direction, select(-1.0, reach, faces));
     let clear = faces && hit.primitive == MISS;
-    irradiance[i] = vec4f(select(vec3f(0.0), light.intensity * (falloff * cosine), clear), 0.0);
+    irradiance[i] += vec4f(select(vec3f(0.0), light.intensity * (falloff * cosine), clear), 0.0);
 }

@@ -16,7 +16,9 @@
 override LANES: u32 = 16u;
 
 struct ShadeParams {
-    count: u32,
+    // Pixels of this dispatch, of those that are bound.
+    first_item: u32,
+    end_item: u32,
     // Samples of this dispatch, and of the whole estimate.
     first_sample: u32,
     end_sample: u32,
@@ -49,9 +51,9 @@ fn shade(
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let lane = thread % LANES;
-    let i = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
-    let present = i < params.count;
-    let item = min(i, params.count - 1u);
+    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let present = pixel < params.end_item;
+    let item = min(pixel, params.end_item - 1u);
     let point = points[item];
     let material = materials[item];
     let f0 = f0_of(material.albedo, material.metallic);
@@ -79,7 +81,7 @@ fn shade(
     if present && lane == 0u {
         var total = lane_sums[thread];
         if params.first_sample > 0u {
-            total = add(total, Sums(shaded[i].specular_scale, shaded[i].radiance, shaded[i].d_roughness));
+            total = add(total, Sums(shaded[pixel].specular_scale, shaded[pixel].radiance, shaded[pixel].d_roughness));
         }
         var radiance = total.bias;
         if params.end_sample == params.samples {
@@ -88,6 +90,6 @@ fn shade(
             let diffuse = material.albedo * point.irradiance * ((1.0 - material.metallic) * INV_PI);
             radiance = diffuse + f0 * total.scale + total.bias;
         }
-        shaded[i] = Shaded(radiance, 0.0, total.scale, 0.0, total.d_roughness, 0.0);
+        shaded[pixel] = Shaded(radiance, 0.0, total.scale, 0.0, total.d_roughness, 0.0);
     }
 }

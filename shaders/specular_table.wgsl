@@ -30,8 +30,9 @@ const FROM_LIGHTS: u32 = 2u;
 const SMITH: u32 = 1u;
 
 struct SpecularTableParams {
-    // Pixels of this dispatch.
-    count: u32,
+    // Pixels of this dispatch, of those that are bound.
+    first_item: u32,
+    end_item: u32,
     // Samples of this dispatch: of all lobes one after another, or of the cosine, or of the lights.
     first_sample: u32,
     end_sample: u32,
@@ -151,9 +152,9 @@ fn specular_table(
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let lane = thread % LANES;
-    let pixel = linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
-    let exists = pixel < params.count;
-    let item = min(pixel, params.count - 1u);
+    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let exists = pixel < params.end_item;
+    let item = min(pixel, params.end_item - 1u);
     let seed = hash2(params.seed, pixels[item][0].sequence);
     // The thread's own nodes are every LANES-th.
     var sums: array<vec3f, NODES / LANES>;

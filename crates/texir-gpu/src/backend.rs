@@ -25,7 +25,7 @@ use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
     specular_table, texels,
 };
-use crate::scene::{Geometry, Hierarchy, Lighting};
+use crate::scene::{Geometry, Hierarchy, Lighting, Sky};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend<'a> {
@@ -54,6 +54,17 @@ impl<'a> GpuBackend<'a> {
     pub fn set_gather_shape(&mut self, shape: Option<GatherShape>) -> Result<()> {
         self.shape = shape.map(GatherShape::check).transpose()?;
         Ok(())
+    }
+
+    /// Runs a pass. After an error nothing stays that was kept for the next: buffers may have failed to be made.
+    fn pass<T>(&mut self, name: &str, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
+        let gpu = self.context.gpu.clone();
+        let result = gpu.guarded(name, || work(self));
+        if result.is_err() {
+            self.context.pool = Default::default();
+            self.cache = Default::default();
+        }
+        result
     }
 
     fn shape_for(&self, samples: u32) -> GatherShape {
@@ -88,13 +99,13 @@ impl Backend for GpuBackend<'_> {
 
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
         let gpu = &self.context.gpu;
-        gpu.guarded("uploading the environment", || self.geometry.surround(gpu, environment))
+        self.geometry.sky = gpu.guarded("uploading the environment", || Sky::new(gpu, environment))?;
+        Ok(())
     }
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         countable(camera.pixels())?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("primary", || primary::run(&mut self.context, &self.geometry, camera, rows))
+        self.pass("primary", |b| primary::run(&mut b.context, &b.geometry, camera, rows))
     }
 
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
@@ -102,8 +113,7 @@ impl Backend for GpuBackend<'_> {
             return Ok(Vec::new());
         }
         countable(size[0] * size[1])?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("texels", || texels::run(&mut self.context, &self.scene.mesh, size, rows))
+        self.pass("texels", |b| texels::run(&mut b.context, &self.scene.mesh, size, rows))
     }
 
     fn irradiance(
@@ -115,9 +125,9 @@ impl Backend for GpuBackend<'_> {
         countable(points.len())?;
         check::irradiance(gather)?;
         let shape = self.shape_for(gather.cosine);
-        let light = (&self.geometry, lighting_of(&self.lighting)?);
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("irradiance", || irradiance::run(&mut self.context, light, points, gather, shape, progress))
+        self.pass("irradiance", |b| {
+            irradiance::run(&mut b.context, (&b.geometry, lighting_of(&b.lighting)?), points, gather, shape, progress)
+        })
     }
 
     fn punctual(
@@ -127,21 +137,18 @@ impl Backend for GpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         countable(points.len())?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("punctual", || punctual::run(&mut self.context, &self.geometry, points, lights, progress))
+        self.pass("punctual", |b| punctual::run(&mut b.context, &b.geometry, points, lights, progress))
     }
 
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
         countable(noisy.points.len())?;
         noisy.check()?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("denoise", || denoise::run(&mut self.context, noisy))
+        self.pass("denoise", |b| denoise::run(&mut b.context, noisy))
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
         countable(points.len())?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("project", || project::run(&mut self.context, &self.geometry, points, camera))
+        self.pass("project", |b| project::run(&mut b.context, &b.geometry, points, camera))
     }
 
     fn shade(
@@ -155,10 +162,10 @@ impl Backend for GpuBackend<'_> {
         countable(points.len())?;
         check::shade(points, materials, sampling)?;
         let shape = self.shape_for(sampling.samples);
-        let light = (&self.geometry, lighting_of(&self.lighting)?);
         let (items, how) = ((points, materials), (sampling, gradient));
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("shade", || shade::run(&mut self.context, light, items, how, shape, progress))
+        self.pass("shade", |b| {
+            shade::run(&mut b.context, (&b.geometry, lighting_of(&b.lighting)?), items, how, shape, progress)
+        })
     }
 
     fn shade_vjp(
@@ -170,8 +177,7 @@ impl Backend for GpuBackend<'_> {
     ) -> Result<Vec<MaterialGrad>> {
         countable(points.len())?;
         check::shade_vjp(points, materials, shaded, d_radiance)?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("shade_vjp", || shade_vjp::run(&mut self.context, points, materials, shaded, d_radiance))
+        self.pass("shade_vjp", |b| shade_vjp::run(&mut b.context, points, materials, shaded, d_radiance))
     }
 
     fn specular_tables(
@@ -182,18 +188,21 @@ impl Backend for GpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
         countable(pixels.len())?;
-        let light = (&self.geometry, lighting_of(&self.lighting)?);
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("specular_table", || {
-            specular_table::run(&mut self.context, light, (pixels, f0), sampling, progress)
+        self.pass("specular_table", |b| {
+            specular_table::run(
+                &mut b.context,
+                (&b.geometry, lighting_of(&b.lighting)?),
+                (pixels, f0),
+                sampling,
+                progress,
+            )
         })
     }
 
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<Loss<[f32; 3]>> {
         countable(rendered.len())?;
         check::radiance_loss(rendered, target)?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("radiance_loss", || radiance_loss::run(&mut self.context, rendered, target))
+        self.pass("radiance_loss", |b| radiance_loss::run(&mut b.context, rendered, target))
     }
 
     fn group_loss(
@@ -208,17 +217,13 @@ impl Backend for GpuBackend<'_> {
         if groups.references.is_empty() || channels == 0 {
             return Ok(Loss { value: 0.0, gradient: vec![0.0; values.len()] });
         }
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("group_loss", || group_loss::run(&mut self.context, values, channels, groups, target))
+        self.pass("group_loss", |b| group_loss::run(&mut b.context, values, channels, groups, target))
     }
 
     fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
         check::lookup(pyramid, texture, channels, footprints)?;
         countable(pyramid.len() * channels)?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("lookup", || {
-            lookup::run(&mut self.context, &mut self.cache, pyramid, texture, channels, footprints)
-        })
+        self.pass("lookup", |b| lookup::run(&mut b.context, &mut b.cache, pyramid, texture, channels, footprints))
     }
 
     fn lookup_vjp(
@@ -230,9 +235,8 @@ impl Backend for GpuBackend<'_> {
     ) -> Result<Vec<f32>> {
         check::lookup_vjp(pyramid, d_values, channels, footprints)?;
         countable(pyramid.len() * channels)?;
-        let gpu = self.context.gpu.clone();
-        gpu.guarded("lookup_vjp", || {
-            lookup::run_vjp(&mut self.context, &mut self.cache, pyramid, d_values, channels, footprints)
+        self.pass("lookup_vjp", |b| {
+            lookup::run_vjp(&mut b.context, &mut b.cache, pyramid, d_values, channels, footprints)
         })
     }
 }

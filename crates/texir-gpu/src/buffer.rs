@@ -61,6 +61,8 @@ impl View {
 pub(crate) struct Pool {
     buffers: HashMap<&'static str, wgpu::Buffer>,
     up: Option<wgpu::Buffer>,
+    /// The last copy out of `up`.
+    copied: Option<wgpu::SubmissionIndex>,
     down: Option<wgpu::Buffer>,
 }
 
@@ -96,7 +98,7 @@ impl Pool {
             let size = padded(bytes.len() as u64);
             let usage = wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC;
             let staging = staging(gpu, &mut self.up, size, usage);
-            map(gpu, &staging, wgpu::MapMode::Write, size)?;
+            map(gpu, &staging, wgpu::MapMode::Write, size, self.copied.as_ref())?;
             let mut range = staging.get_mapped_range_mut(0..size).map_err(|e| failed(gpu, e))?;
             range.slice(..bytes.len()).copy_from_slice(bytes);
             drop(range);
@@ -104,7 +106,7 @@ impl Pool {
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             let first = (piece * STAGING_BYTES) as u64;
             encoder.copy_buffer_to_buffer(&staging, 0, &view.buffer, first, Some(size.min(view.bytes - first)));
-            gpu.queue().submit([encoder.finish()]);
+            self.copied = Some(gpu.queue().submit([encoder.finish()]));
         }
         Ok(())
     }
@@ -122,8 +124,8 @@ impl Pool {
             let staging = staging(gpu, &mut self.down, size, usage);
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             encoder.copy_buffer_to_buffer(&view.buffer, first, &staging, 0, Some(size));
-            gpu.queue().submit([encoder.finish()]);
-            map(gpu, &staging, wgpu::MapMode::Read, size)?;
+            let copied = gpu.queue().submit([encoder.finish()]);
+            map(gpu, &staging, wgpu::MapMode::Read, size, Some(&copied))?;
             let range = staging.get_mapped_range(0..size).map_err(|e| failed(gpu, e))?;
             let bytes = &range[..values * size_of::<T>()];
             match bytemuck::try_cast_slice(bytes) {
@@ -147,18 +149,29 @@ fn staging(gpu: &Gpu, slot: &mut Option<wgpu::Buffer>, bytes: u64, usage: wgpu::
     slot.insert(gpu.device().create_buffer(&descriptor)).clone()
 }
 
-/// Maps the first bytes of a staging buffer, once the device is done with it.
-fn map(gpu: &Gpu, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) -> Result<()> {
+/// Maps the first bytes of a staging buffer, once the `last` submission that uses it is done.
+fn map(
+    gpu: &Gpu,
+    buffer: &wgpu::Buffer,
+    mode: wgpu::MapMode,
+    bytes: u64,
+    last: Option<&wgpu::SubmissionIndex>,
+) -> Result<()> {
     let (sender, receiver) = std::sync::mpsc::channel();
     buffer.map_async(mode, 0..bytes, move |result| {
         // The receiver is gone only when waiting failed, which is reported instead.
         let _ = sender.send(result);
     });
-    gpu.wait_for_all()?;
-    match receiver.try_recv() {
+    match last {
+        Some(submission) => gpu.wait(submission)?,
+        // No submission uses it: it is mapped as soon as somebody looks.
+        None => drop(gpu.device().poll(wgpu::PollType::Poll)),
+    }
+    // Another thread of the host program may have seen it mapped first, and be about to say so.
+    match receiver.recv() {
         Ok(Ok(())) => Ok(()),
         Ok(Err(e)) => Err(failed(gpu, e)),
-        Err(_) => Err(failed(gpu, "the buffer was not mapped when the device had finished")),
+        Err(_) => Err(failed(gpu, "the device was lost")),
     }
 }
 

@@ -1,16 +1,23 @@
 //! A device to run on: owned (headless) or borrowed from a host program.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use texir_core::error::{Error, Result};
 
-/// A wgpu device with its queue. Clones share them.
+use crate::kernel::{Kernel, Kernels, Spec};
+
+/// A wgpu device with its queue, and the pipelines that were made for it. Clones share them.
 #[derive(Clone)]
 pub struct Gpu {
     device: wgpu::Device,
     queue: wgpu::Queue,
     info: Arc<wgpu::AdapterInfo>,
+    kernels: Arc<Mutex<Kernels>>,
 }
+
+/// How long a wait for the device keeps the host program from presenting: wgpu holds a lock meanwhile that a swap chain takes.
+const PATIENCE: Duration = Duration::from_millis(1);
 
 /// The optional features that the kernels need: none.
 pub fn required_features() -> wgpu::Features {
@@ -64,15 +71,25 @@ impl Gpu {
             adapters.retain(|a| a.get_info().name.to_lowercase().contains(&name));
         }
         adapters.sort_by_key(|a| preference(a.get_info().device_type));
-        let Some(chosen) = adapters.first() else { return Err(no_adapter(adapter, &found)) };
-        let info = chosen.get_info();
-        let (device, queue) = pollster::block_on(chosen.request_device(&wgpu::DeviceDescriptor {
+        // The first that serves: an old card beside a new one, or one API of two for the same card, may not.
+        let mut failure = None;
+        for chosen in &adapters {
+            match Self::on(chosen) {
+                Ok(gpu) => return Ok(gpu),
+                Err(error) => failure = failure.or(Some(error)),
+            }
+        }
+        Err(failure.unwrap_or_else(|| no_adapter(adapter, &found)))
+    }
+
+    fn on(adapter: &wgpu::Adapter) -> Result<Self> {
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("texir"),
             required_features: required_features(),
-            required_limits: required_limits(chosen),
+            required_limits: required_limits(adapter),
             ..Default::default()
         }))
-        .map_err(|e| Error::device(format!("the adapter {:?} gives no device: {e}", info.name)))?;
+        .map_err(|e| Error::device(format!("the adapter {:?} gives no device: {e}", adapter.get_info().name)))?;
         Self::from_device(device, queue)
     }
 
@@ -81,7 +98,7 @@ impl Gpu {
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
         match missing(&device.limits()) {
-            None => Ok(Self { device, queue, info }),
+            None => Ok(Self { device, queue, info, kernels: Arc::default() }),
             Some(what) => Err(Error::device(format!(
                 "the device of {:?} is too small: {what}; ask for texir_gpu::required_limits when it is made",
                 info.name
@@ -115,6 +132,16 @@ impl Gpu {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 
+    /// A kernel, compiled when it is first asked for.
+    pub(crate) fn kernel(&self, spec: Spec) -> Result<Arc<Kernel>> {
+        self.kernels().get(self, spec)
+    }
+
+    fn kernels(&self) -> std::sync::MutexGuard<'_, Kernels> {
+        // Kernels are added whole: one that panicked on the way was not.
+        self.kernels.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Runs `work` and turns everything that the device reports meanwhile into an error, so that nothing reaches the
     /// device's uncaptured-error handler, which is the host program's.
     pub(crate) fn guarded<T>(&self, what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
@@ -127,25 +154,26 @@ impl Gpu {
             reported = reported.or(pollster::block_on(scope.pop()));
         }
         match reported {
-            Some(error) => Err(Error::device(format!("{}: {what}: {error}", self.info.name))),
+            Some(error) => {
+                // One of them may have failed to be made, and would fail wherever it is used from now on.
+                *self.kernels() = Kernels::default();
+                Err(Error::device(format!("{}: {what}: {error}", self.info.name)))
+            }
             None => result,
         }
     }
 
-    /// Waits until a submission is done.
-    pub(crate) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<()> {
-        self.poll(Some(submission))
-    }
-
-    /// Waits until everything submitted is done, and mappings with it.
-    pub(crate) fn wait_for_all(&self) -> Result<()> {
-        self.poll(None)
-    }
-
-    fn poll(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<()> {
-        match self.device.poll(wgpu::PollType::Wait { submission_index, timeout: None }) {
-            Ok(_) => Ok(()),
-            Err(e) => Err(Error::device(format!("{}: waiting for the device failed: {e}", self.info.name))),
+    /// Waits until a submission is done, not for what the host program submits meanwhile.
+    pub(crate) fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<()> {
+        let wait = || wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(PATIENCE) };
+        loop {
+            match self.device.poll(wait()) {
+                Ok(_) => return Ok(()),
+                Err(wgpu::PollError::Timeout) => std::thread::yield_now(),
+                Err(e) => {
+                    return Err(Error::device(format!("{}: waiting for the device failed: {e}", self.info.name)));
+                }
+            }
         }
     }
 }

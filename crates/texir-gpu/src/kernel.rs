@@ -49,6 +49,7 @@ struct Slot {
 
 /// A compute pipeline.
 pub(crate) struct Kernel {
+    spec: Spec,
     label: String,
     pipeline: wgpu::ComputePipeline,
     layouts: Vec<wgpu::BindGroupLayout>,
@@ -94,7 +95,12 @@ impl Kernel {
             },
             cache: None,
         });
-        Ok(Self { label, pipeline, layouts, slots, unused })
+        Ok(Self { spec, label, pipeline, layouts, slots, unused })
+    }
+
+    /// Which kernel it is.
+    pub fn spec(&self) -> Spec {
+        self.spec
     }
 
     /// Binds resources by variable name. Every variable of the entry point needs one; a name that the shader does not

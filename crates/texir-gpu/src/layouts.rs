@@ -98,7 +98,8 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
             "irradiance",
             "IrradianceParams",
             host!(IrradianceParams {
-                count,
+                first_item,
+                end_item,
                 first_sample,
                 end_sample,
                 cosine_samples,
@@ -135,13 +136,14 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
         ),
         ("punctual", "PunctualParams", host!(PunctualParams { count, clear_share })),
         ("radiance_loss", "RadianceLossParams", host!(RadianceLossParams { count, share })),
-        ("shade", "ShadeParams", host!(ShadeParams { count, first_sample, end_sample, samples, seed })),
+        ("shade", "ShadeParams", host!(ShadeParams { first_item, end_item, first_sample, end_sample, samples, seed })),
         ("shade_vjp", "ShadeVjpParams", host!(ShadeVjpParams { count })),
         (
             "specular_table",
             "SpecularTableParams",
             host!(SpecularTableParams {
-                count,
+                first_item,
+                end_item,
                 first_sample,
                 end_sample,
                 lobe_samples,

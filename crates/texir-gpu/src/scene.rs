@@ -28,7 +28,9 @@ pub enum Hierarchy {
 impl Hierarchy {
     /// The faster one for a device.
     pub fn best(gpu: &Gpu) -> Self {
-        if gpu.is_cpu() { Self::Textures } else { Self::Buffers }
+        // Other APIs' software drivers are not measured, and need not keep the bits of small numbers in float textures.
+        let vulkan = gpu.info().backend == wgpu::Backend::Vulkan;
+        if gpu.is_cpu() && vulkan { Self::Textures } else { Self::Buffers }
     }
 }
 
@@ -72,12 +74,8 @@ impl Words {
 pub(crate) struct Geometry {
     nodes: Words,
     triangles: Words,
-    /// What rays see that miss the mesh, and the density with which it is sampled.
-    environment: wgpu::TextureView,
-    bright_rows: View,
-    bright_pixels: View,
-    /// Rows of the environment with bright pixels; 0 where nothing stands out.
-    pub sky_rows: u32,
+    /// What surrounds it.
+    pub sky: Sky,
 }
 
 impl Geometry {
@@ -91,27 +89,11 @@ impl Geometry {
             triangles.extend([word(a, t), word(b - a, uv_c.x.to_bits()), word(c - a, uv_c.y.to_bits())]);
             triangles.push([uv_a.x, uv_a.y, uv_b.x, uv_b.y].map(f32::to_bits));
         }
-        let black = Environment::constant([0.0; 3])?;
         Ok(Self {
             nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
             triangles: Words::new(gpu, "triangles", &triangles, place)?,
-            environment: environment_texture(gpu, &black)?,
-            bright_rows: keep(gpu, "bright rows", &black.bright().rows)?,
-            bright_pixels: keep(gpu, "bright pixels", &black.bright().pixels)?,
-            sky_rows: 0,
+            sky: Sky::new(gpu, None)?,
         })
-    }
-
-    /// Puts the scene into an environment.
-    pub fn surround(&mut self, gpu: &Gpu, environment: Option<&Environment>) -> Result<()> {
-        let black = Environment::constant([0.0; 3])?;
-        let environment = environment.unwrap_or(&black);
-        let bright = environment.bright();
-        self.environment = environment_texture(gpu, environment)?;
-        self.bright_rows = keep(gpu, "bright rows", &bright.rows)?;
-        self.bright_pixels = keep(gpu, "bright pixels", &bright.pixels)?;
-        self.sky_rows = bright.rows.len() as u32;
-        Ok(())
     }
 
     /// What tracing passes bind.
@@ -123,12 +105,36 @@ impl Geometry {
     pub fn lit_by<'a>(&'a self, lighting: &'a Lighting) -> [(&'static str, wgpu::BindingResource<'a>); 4] {
         let [nodes, triangles] = self.bindings();
         let tbl = ("tbl", wgpu::BindingResource::TextureView(&lighting.tbl));
-        let environment = ("environment", wgpu::BindingResource::TextureView(&self.environment));
+        let environment = ("environment", wgpu::BindingResource::TextureView(&self.sky.radiance));
         [nodes, triangles, tbl, environment]
     }
+}
 
-    /// What passes bind that sample the environment.
-    pub fn sky(&self) -> [(&'static str, wgpu::BindingResource<'_>); 2] {
+/// What rays see that miss the mesh, and the density with which it is sampled.
+pub(crate) struct Sky {
+    radiance: wgpu::TextureView,
+    bright_rows: View,
+    bright_pixels: View,
+    /// Rows with bright pixels; 0 where nothing stands out.
+    pub rows: u32,
+}
+
+impl Sky {
+    /// An environment, or blackness.
+    pub fn new(gpu: &Gpu, environment: Option<&Environment>) -> Result<Self> {
+        let black = Environment::constant([0.0; 3])?;
+        let environment = environment.unwrap_or(&black);
+        let bright = environment.bright();
+        Ok(Self {
+            radiance: environment_texture(gpu, environment)?,
+            bright_rows: keep(gpu, "bright rows", &bright.rows)?,
+            bright_pixels: keep(gpu, "bright pixels", &bright.pixels)?,
+            rows: bright.rows.len() as u32,
+        })
+    }
+
+    /// What passes bind that sample it.
+    pub fn bindings(&self) -> [(&'static str, wgpu::BindingResource<'_>); 2] {
         [("bright_rows", self.bright_rows.binding()), ("bright_pixels", self.bright_pixels.binding())]
     }
 }

@@ -9,17 +9,21 @@ use texir_core::error::Result;
 use texir_core::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
 
 use super::WORKGROUP;
-use crate::batch::Context;
+use crate::batch::{BATCH_BYTES, Context};
 
-/// The passes, and about how many rays' time one takes of a point.
-const PASSES: [(&str, u32); 5] =
+/// The passes, and about how many rays' time one takes of a point with [`USUAL`] points around it.
+const PASSES: [(&str, u64); 5] =
     [("smooth_halves", 4), ("measure_noise", 4), ("regress", 16), ("clean", 4), ("conserve", 8)];
 
-/// Points that a thread of a software driver may look at: after 65,535 iterations of all its loops it silently ends.
+/// Points that a thread looks at where texels are of one size.
+const USUAL: u64 = 400;
+
+/// Points that a thread may look at: a software driver silently ends it after 65,535 iterations of all its loops, and on any device a
+/// few threads with many more would take longer than drivers allow.
 const MOST_LOOKED_AT: u64 = 65_000;
 
-/// Bytes of the ranges around one cell, of which a point of a dispatch has at most one.
-const SPANS: usize = FAR * size_of::<[u32; 2]>();
+/// Points of a dispatch at most: each may lie in a cell of its own, whose ranges are uploaded.
+const MOST_POINTS: usize = BATCH_BYTES / (FAR * size_of::<[u32; 2]>());
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -55,7 +59,7 @@ pub(crate) struct Estimate {
 pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
     let count = noisy.points.len();
     let neighbours = Neighbours::<FAR>::new(noisy.points, CELL * noisy.texel);
-    if count == 0 || (ctx.gpu.is_cpu() && neighbours.most() > MOST_LOOKED_AT) {
+    if count == 0 || neighbours.most() > MOST_LOOKED_AT {
         return Ok(cpu::denoise::denoise(noisy));
     }
     let Neighbours { entries, spans, .. } = &neighbours;
@@ -77,9 +81,10 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
     ];
     for (entry, cost) in PASSES {
         let kernel = ctx.kernel("denoise", entry, None)?;
+        let cost = cost * (neighbours.most() / USUAL).max(1);
         let mut first = 0;
         while first < count {
-            let end = count.min(first + ctx.batch(cost, SPANS));
+            let end = count.min(first + ctx.items(&kernel, cost).min(MOST_POINTS));
             // Points are in the order of their cells.
             let [first_cell, last_cell] = [first, end - 1].map(|i| entries[i].cell);
             let spans = &spans[first_cell as usize..=last_cell as usize];
@@ -104,8 +109,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
             let mut resources = vec![("params", params.binding()), ("spans", spans.binding())];
             resources.extend(on_device.iter().map(|(name, view)| (*name, view.binding())));
             let groups = kernel.bind(&ctx.gpu, &resources)?;
-            let rays = u64::from(cost) * (end - first) as u64;
-            ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, (end - first).div_ceil(WORKGROUP)))?;
+            ctx.trace(&kernel, &groups, (end - first).div_ceil(WORKGROUP), cost * (end - first) as u64)?;
             first = end;
         }
     }

@@ -18,7 +18,8 @@ use crate::scene::{Geometry, Lighting};
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct IrradianceParams {
-    pub count: u32,
+    pub first_item: u32,
+    pub end_item: u32,
     pub first_sample: u32,
     pub end_sample: u32,
     pub cosine_samples: u32,
@@ -53,6 +54,10 @@ impl Gathering for Irradiance<'_> {
     const ITEM_BYTES: usize = size_of::<SurfacePoint>();
     type Batch = Batch;
 
+    fn kernel(&self, technique: usize) -> &Kernel {
+        &self.kernels[technique]
+    }
+
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
         let gathered = ctx.pool.reserve(&ctx.gpu, "gathered", (items.len() * size_of::<Gathered>()) as u64)?;
         Ok(Batch { points: ctx.pool.upload(&ctx.gpu, "points", &self.points[items])?, gathered })
@@ -71,7 +76,8 @@ impl Gathering for Irradiance<'_> {
             Sequences::Shared { width } => (0, width.max(1)),
         };
         let params = ctx.params(&IrradianceParams {
-            count: items.len() as u32,
+            first_item: items.start as u32,
+            end_item: items.end as u32,
             first_sample: samples.start,
             end_sample: samples.end,
             cosine_samples: self.samples[0],
@@ -80,7 +86,7 @@ impl Gathering for Irradiance<'_> {
             seed: self.gather.seed,
             part,
             width,
-            sky_rows: self.geometry.sky_rows,
+            sky_rows: self.geometry.sky.rows,
         });
         let order = along_hilbert_curve(samples.clone().collect());
         let order = ctx.pool.upload(&ctx.gpu, "sample order", &order)?;
@@ -91,11 +97,12 @@ impl Gathering for Irradiance<'_> {
             ("sample_order", order.binding()),
         ];
         let kernel = &self.kernels[technique];
-        let scene = [&self.geometry.lit_by(self.lighting)[..], &self.geometry.sky(), &self.lighting.lights()].concat();
+        let scene =
+            [&self.geometry.lit_by(self.lighting)[..], &self.geometry.sky.bindings(), &self.lighting.lights()].concat();
         let groups = kernel.bind(&ctx.gpu, &[&scene[..], &own].concat())?;
         let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
-        ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
+        ctx.trace(kernel, &groups, workgroups, rays)
     }
 
     fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {
@@ -117,7 +124,7 @@ pub(crate) fn run(
     let mut kernel = |entry| ctx.kernel("irradiance", entry, lanes);
     let kernels = [kernel("gather_cosine")?, kernel("gather_lights")?, kernel("gather_sky")?];
     // The heuristic must not count samples that are not drawn.
-    let [light, sky] = gather.light_and_sky(lighting.clusters > 0, geometry.sky_rows > 0);
+    let [light, sky] = gather.light_and_sky(lighting.clusters > 0, geometry.sky.rows > 0);
     let samples = [gather.cosine, light, sky];
     let out = Vec::with_capacity(points.len());
     let mut pass = Irradiance { kernels, samples, geometry, lighting, points, gather, shape, out };

@@ -57,14 +57,14 @@ pub(crate) fn run(ctx: &mut Context, geometry: &Geometry, camera: &Camera, rows:
     let first = rows.start * camera.width;
     let all = rows.len() * camera.width;
     let mut out = Vec::with_capacity(all);
-    ctx.one_ray_each(all, |ctx, pixels| {
+    ctx.one_ray_each(&kernel, all, |ctx, pixels| {
         let count = pixels.len();
         let params = ctx.params(&PrimaryParams { first: (first + pixels.start) as u32, count: count as u32 });
         let hits = ctx.pool.reserve(&ctx.gpu, "hits", (count * size_of::<Hit>()) as u64)?;
         let [nodes, triangles] = geometry.bindings();
         let own = [("camera", view.binding()), ("params", params.binding()), ("hits", hits.binding())];
         let groups = kernel.bind(&ctx.gpu, &[&[nodes, triangles][..], &own].concat())?;
-        ctx.submit_rays(count as u64, |pass| kernel.record(pass, &groups, count.div_ceil(WORKGROUP)))?;
+        ctx.trace(&kernel, &groups, count.div_ceil(WORKGROUP), count as u64)?;
         out.extend(ctx.pool.download::<Hit>(&ctx.gpu, &hits, count)?);
         Ok(())
     })?;

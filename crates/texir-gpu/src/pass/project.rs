@@ -29,7 +29,7 @@ pub(crate) fn run(
     let kernel = ctx.kernel("project", "project", None)?;
     let view = ctx.params(&CameraUniform::from(camera));
     let mut out = Vec::with_capacity(points.len());
-    ctx.one_ray_each(points.len(), |ctx, range| {
+    ctx.one_ray_each(&kernel, points.len(), |ctx, range| {
         let count = range.len();
         let params = ctx.params(&ProjectParams { count: count as u32, clear_share: CLEAR_SHARE as f32 });
         let points = ctx.pool.upload(&ctx.gpu, "points", &points[range])?;
@@ -41,7 +41,7 @@ pub(crate) fn run(
             ("projected", projected.binding()),
         ];
         let groups = kernel.bind(&ctx.gpu, &[&geometry.bindings()[..], &own].concat())?;
-        ctx.submit_rays(count as u64, |pass| kernel.record(pass, &groups, count.div_ceil(WORKGROUP)))?;
+        ctx.trace(&kernel, &groups, count.div_ceil(WORKGROUP), count as u64)?;
         out.extend(ctx.pool.download::<Projected>(&ctx.gpu, &projected, count)?);
         Ok(())
     })?;

@@ -9,6 +9,7 @@ use texir_core::surface::SurfacePoint;
 
 use super::WORKGROUP;
 use crate::batch::Context;
+use crate::buffer::View;
 use crate::scene::Geometry;
 
 #[repr(C)]
@@ -27,15 +28,16 @@ pub(crate) fn run(
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
     let kernel = ctx.kernel("punctual", "punctual", None)?;
+    let lights: Vec<View> = lights.iter().map(|light| ctx.params(light)).collect();
     let mut sums = vec![[0.0; 3]; points.len()];
-    for light in lights {
-        let light = ctx.params(light);
-        ctx.one_ray_each(points.len(), |ctx, range| {
+    ctx.one_ray_each(&kernel, points.len(), |ctx, range| {
+        let count = range.len();
+        let params = ctx.params(&PunctualParams { count: count as u32, clear_share: CLEAR_SHARE as f32 });
+        let batch = ctx.pool.upload(&ctx.gpu, "points", &points[range.clone()])?;
+        let irradiance = ctx.pool.reserve(&ctx.gpu, "irradiance", (count * size_of::<[f32; 4]>()) as u64)?;
+        irradiance.clear(&ctx.gpu);
+        for light in &lights {
             progress.check()?;
-            let count = range.len();
-            let params = ctx.params(&PunctualParams { count: count as u32, clear_share: CLEAR_SHARE as f32 });
-            let batch = ctx.pool.upload(&ctx.gpu, "points", &points[range.clone()])?;
-            let irradiance = ctx.pool.reserve(&ctx.gpu, "irradiance", (count * size_of::<[f32; 4]>()) as u64)?;
             let own = [
                 ("light", light.binding()),
                 ("params", params.binding()),
@@ -43,13 +45,13 @@ pub(crate) fn run(
                 ("irradiance", irradiance.binding()),
             ];
             let groups = kernel.bind(&ctx.gpu, &[&geometry.bindings()[..], &own].concat())?;
-            ctx.submit_rays(count as u64, |pass| kernel.record(pass, &groups, count.div_ceil(WORKGROUP)))?;
-            for (sum, e) in sums[range].iter_mut().zip(ctx.pool.download::<[f32; 4]>(&ctx.gpu, &irradiance, count)?) {
-                *sum = [sum[0] + e[0], sum[1] + e[1], sum[2] + e[2]];
-            }
+            ctx.trace(&kernel, &groups, count.div_ceil(WORKGROUP), count as u64)?;
             progress.advance(count as u64);
-            Ok(())
-        })?;
-    }
+        }
+        for (sum, e) in sums[range].iter_mut().zip(ctx.pool.download::<[f32; 4]>(&ctx.gpu, &irradiance, count)?) {
+            *sum = [e[0], e[1], e[2]];
+        }
+        Ok(())
+    })?;
     Ok(sums)
 }

@@ -16,7 +16,8 @@ use crate::scene::{Geometry, Lighting};
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct ShadeParams {
-    pub count: u32,
+    pub first_item: u32,
+    pub end_item: u32,
     pub first_sample: u32,
     pub end_sample: u32,
     pub samples: u32,
@@ -45,6 +46,10 @@ impl Gathering for Shade<'_> {
     const ITEM_BYTES: usize = size_of::<ShadePoint>();
     type Batch = Batch;
 
+    fn kernel(&self, _: usize) -> &Kernel {
+        &self.kernel
+    }
+
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
         Ok(Batch {
             points: ctx.pool.upload(&ctx.gpu, "shade points", &self.points[items.clone()])?,
@@ -62,7 +67,8 @@ impl Gathering for Shade<'_> {
         samples: Range<u32>,
     ) -> Result<()> {
         let params = ctx.params(&ShadeParams {
-            count: items.len() as u32,
+            first_item: items.start as u32,
+            end_item: items.end as u32,
             first_sample: samples.start,
             end_sample: samples.end,
             samples: self.sampling.samples,
@@ -77,7 +83,7 @@ impl Gathering for Shade<'_> {
         let groups = self.kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
         let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
-        ctx.submit_rays(rays, |pass| self.kernel.record(pass, &groups, workgroups))
+        ctx.trace(&self.kernel, &groups, workgroups, rays)
     }
 
     fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {

@@ -24,7 +24,8 @@ const TECHNIQUES: [u32; 3] = [0, 1, 2];
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct SpecularTableParams {
-    pub count: u32,
+    pub first_item: u32,
+    pub end_item: u32,
     pub first_sample: u32,
     pub end_sample: u32,
     pub lobe_samples: u32,
@@ -33,7 +34,7 @@ pub(crate) struct SpecularTableParams {
     pub seed: u32,
     pub f0: f32,
     pub masking: u32,
-    pub padding: [u32; 3],
+    pub padding: [u32; 2],
     pub lobes: [f32; 8],
     pub nodes: [f32; NODES],
 }
@@ -61,6 +62,10 @@ impl Gathering for SpecularTable<'_> {
     const ITEM_BYTES: usize = size_of::<Sums>();
     type Batch = Batch;
 
+    fn kernel(&self, technique: usize) -> &Kernel {
+        &self.kernels[technique]
+    }
+
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
         let tables = ctx.pool.reserve(&ctx.gpu, "specular tables", (items.len() * size_of::<Sums>()) as u64)?;
         tables.clear(&ctx.gpu);
@@ -76,7 +81,8 @@ impl Gathering for SpecularTable<'_> {
         samples: Range<u32>,
     ) -> Result<()> {
         let params = ctx.params(&SpecularTableParams {
-            count: items.len() as u32,
+            first_item: items.start as u32,
+            end_item: items.end as u32,
             first_sample: samples.start,
             end_sample: samples.end,
             lobe_samples: self.sampling.lobe,
@@ -85,7 +91,7 @@ impl Gathering for SpecularTable<'_> {
             seed: self.sampling.seed,
             f0: self.f0,
             masking: self.sampling.masking as u32,
-            padding: [0; 3],
+            padding: [0; 2],
             lobes: from_fn(|lobe| LOBES.get(lobe).copied().unwrap_or(0.0)),
             nodes: from_fn(node),
         });
@@ -96,7 +102,7 @@ impl Gathering for SpecularTable<'_> {
             .bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat())?;
         let workgroups = items.len().div_ceil(SHAPE.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
-        ctx.submit_rays(rays, |pass| kernel.record(pass, &groups, workgroups))
+        ctx.trace(kernel, &groups, workgroups, rays)
     }
 
     fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {

@@ -42,8 +42,9 @@ pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<
     for first_candidate in (0..most.max(1)).step_by(CANDIDATES as usize) {
         let mut row = 0;
         while row < tile_rows {
-            // A candidate costs no more than a ray does.
-            let end = tile_rows.min(row + ctx.batch(CANDIDATES.min(most), size_of::<Hit>()).div_ceil(width * TILE));
+            // Candidates are counted like rays.
+            let candidates = u64::from(CANDIDATES.min(most).max(1));
+            let end = tile_rows.min(row + ctx.items(&kernel, candidates).div_ceil(width * TILE));
             let params = ctx.params(&TexelsParams {
                 width: width as u32,
                 height: height as u32,
@@ -65,7 +66,8 @@ pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<
                 ],
             )?;
             let (columns, tiles) = (bins.columns as u32, (end - row) as u32);
-            ctx.submit(|pass| kernel.record_grid(pass, &groups, columns, tiles))?;
+            let tests = candidates * ((end - row) * width * TILE) as u64;
+            ctx.timed(&kernel, tests, |pass| kernel.record_grid(pass, &groups, columns, tiles))?;
             row = end;
         }
     }
