@@ -310,6 +310,12 @@ fn misused(backend: &mut dyn Backend, scene: &Scene) {
     let foreign = Lights { density: vec![LightDensity::default(); 3], ..dark };
     let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
     assert!(foreign.contains("another mesh"), "{foreign}");
+    let clusterless = Lights { clusters: Vec::new(), ..Lights::none(&scene.mesh) };
+    let clusterless = backend.set_tbl(&scenes::smooth_light(8), &clusterless).unwrap_err().to_string();
+    assert!(clusterless.contains("clusters"), "{clusterless}");
+    let short = Rgb { data: vec![[1.0; 3]; 63], ..scenes::smooth_light(8) };
+    let short = backend.set_tbl(&short, &Lights::none(&scene.mesh)).unwrap_err().to_string();
+    assert!(short.contains("63 values where 64 are expected"), "{short}");
     let (pixels, materials) = shading(&points);
     let (sampling, exact) = (Sampling { samples: 1, seed: 0 }, RoughnessGradient::Exact);
     let few = backend.shade(&pixels, &materials[1..], sampling, exact, &Silent).unwrap_err().to_string();
@@ -328,6 +334,15 @@ fn misused(backend: &mut dyn Backend, scene: &Scene) {
     assert!(small.contains("texture of lookup"), "{small}");
     let beyond = backend.lookup(&pyramid, &[0.0; 4], 1, &beyond).unwrap_err().to_string();
     assert!(beyond.contains("texel 9"), "{beyond}");
+    let torn = Rows { offsets: vec![0, 2], taps: vec![Tap { texel: 0, weight: 1.0 }] };
+    let torn = backend.lookup(&pyramid, &[0.0; 4], 1, &torn).unwrap_err().to_string();
+    assert!(torn.contains("offsets"), "{torn}");
+    let flat = Rows { offsets: vec![0], taps: Vec::new() };
+    let flat = backend.lookup(&pyramid, &[], 0, &flat).unwrap_err().to_string();
+    assert!(flat.contains("0 channels"), "{flat}");
+    let pair = Groups { offsets: vec![0, 2], members: vec![0, 1], references: vec![1] };
+    let high = backend.group_loss(&[0.0; 2], 1, &pair, GroupTarget::Quantile(1.5)).unwrap_err().to_string();
+    assert!(high.contains("quantile 1.5"), "{high}");
     assert!(backend.irradiance(&points, one, &Silent).is_ok());
 }
 

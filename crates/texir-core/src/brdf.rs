@@ -90,10 +90,10 @@ pub fn pdf<R: Real>(c: &Cosines<R>, r: R) -> R {
     distribution(c.nh, r) * c.nh / (R::of(4.0) * c.vh)
 }
 
-/// cos²θ_h of the half-vector drawn by `u`: (1−u)/(1+(α²−1)u), written without cancellation.
-pub fn sample_cos2<R: Real>(u: R, r: R) -> R {
-    let rest = R::of(1.0) - u;
-    rest / (rest + r * r * r * r * u)
+/// (sin, cos) of the polar angle of the half-vector drawn by `u`: cos²θ_h = (1−u)/(1+(α²−1)u), both without cancellation.
+pub fn sample_half_vector<R: Real>(u: R, r: R) -> [R; 2] {
+    let (a2u, rest) = (r * r * r * r * u, R::of(1.0) - u);
+    [a2u, rest].map(|part| (part / (rest + a2u)).sqrt())
 }
 
 /// w = f_s nl / (p F) of half-vector sampling: g(nl) g(nv) nl vh / nh. The cosine n·l is included; times F it is the
@@ -109,7 +109,7 @@ pub fn d_ln_distribution<R: Real>(nh: R, r: R) -> R {
     R::of(4.0) / r - R::of(8.0) * r3 * q / (q * (r3 * r - R::of(1.0)) + R::of(1.0))
 }
 
-/// ψ_D at a half-vector drawn by [`sample_cos2`] with the same r: 4(2u−1)/r. With q = (1−u)/((1−u)+α²u) the general form
+/// ψ_D at a half-vector drawn by [`sample_half_vector`] with the same r: 4(2u−1)/r. With q = (1−u)/((1−u)+α²u) the general form
 /// reduces to this; it has no cancellation, and its mean over u is visibly 0, as D nh integrates to 1 for every r.
 pub fn d_ln_distribution_sampled<R: Real>(u: R, r: R) -> R {
     R::of(4.0) * (R::of(2.0) * u - R::of(1.0)) / r
@@ -171,7 +171,7 @@ mod tests {
     fn sampled_psi_is_the_general_one() {
         for r in [0.1, 0.4, 0.9] {
             for u in [0.01, 0.3, 0.7, 0.99] {
-                let general = d_ln_distribution(sample_cos2(u, r).sqrt(), r);
+                let general = d_ln_distribution(sample_half_vector(u, r)[1], r);
                 assert!((general - d_ln_distribution_sampled(u, r)).abs() < 1e-6 * (1.0 + general.abs()));
             }
         }
@@ -198,7 +198,7 @@ mod tests {
         for i in 0..count {
             let x = crate::rng::hash2(i, 5);
             let u = f64::from(x) / 4_294_967_296.0;
-            let q = sample_cos2(u, r * 1.0);
+            let q = sample_half_vector(u, r * 1.0)[1].powi(2);
             let cdf = numeric_cdf(q, r);
             observed[((cdf * bins as f64) as usize).min(bins - 1)] += 1;
         }
@@ -209,7 +209,7 @@ mod tests {
         let mut wrong = vec![0u32; bins];
         for i in 0..count {
             let u = f64::from(crate::rng::hash2(i, 5)) / 4_294_967_296.0;
-            let cdf = numeric_cdf(sample_cos2(u, 0.42), r);
+            let cdf = numeric_cdf(sample_half_vector(u, 0.42)[1].powi(2), r);
             wrong[((cdf * bins as f64) as usize).min(bins - 1)] += 1;
         }
         assert!(chi2(&wrong) > 61.1);

@@ -71,6 +71,14 @@ impl Noisy<'_> {
                 self.apart.len()
             )));
         }
+        if let Some(i) =
+            a.iter().zip(b).position(|halves| [halves.0, halves.1].iter().any(|e| !e.iter().all(|c| c.is_finite())))
+        {
+            return Err(Error::invalid(format!(
+                "point {i} to denoise: {:?} and {:?}; expected finite irradiance",
+                a[i], b[i]
+            )));
+        }
         if self.texel > 0.0 && self.texel.is_finite() {
             return Ok(());
         }

@@ -213,7 +213,7 @@ impl Backend for GpuBackend<'_> {
         target: GroupTarget,
     ) -> Result<Loss<f32>> {
         countable(values.len())?;
-        check::group_loss(values, channels, groups)?;
+        check::group_loss(values, channels, groups, target)?;
         if groups.references.is_empty() || channels == 0 {
             return Ok(Loss { value: 0.0, gradient: vec![0.0; values.len()] });
         }

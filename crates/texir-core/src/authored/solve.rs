@@ -101,10 +101,10 @@ pub fn irradiance(
     let mut solver = Solver { backend, scene, texels, bounces, checkpoints, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
-    let mut last = solver.gather(&surfaces.emission, 0, 1.0)?;
-    solver.add_punctual(&mut last, &surfaces.lights)?;
-    // The sky lights once; what surfaces make of it bounces.
+    let direct = solver.direct(surfaces);
+    // The sky lights once; what surfaces make of it bounces. Nor does it stay where this ends early.
     solver.backend.set_environment(None)?;
+    let mut last = direct?;
 
     let mut total = last.copy(texels)?;
     let mut series = vec![last.mean(texels, &total)?];
@@ -137,6 +137,13 @@ struct Solver<'a> {
 }
 
 impl Solver<'_> {
+    /// What emission, sky and lights without extent bring themselves.
+    fn direct(&mut self, surfaces: &Surfaces) -> Result<Solution> {
+        let mut direct = self.gather(&surfaces.emission, 0, 1.0)?;
+        self.add_punctual(&mut direct, &surfaces.lights)?;
+        Ok(direct)
+    }
+
     /// Adds E from the punctual lights.
     fn add_punctual(&mut self, direct: &mut Solution, lights: &[PunctualLight]) -> Result<()> {
         if lights.is_empty() {

@@ -1,6 +1,6 @@
 //! Checks of what passes are given. Every backend makes them, so that misuse is the same error with each.
 
-use super::{Gather, Groups, Material, Sampling, ShadePoint, Shaded};
+use super::{Gather, GroupTarget, Groups, Material, Sampling, ShadePoint, Shaded};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
@@ -24,15 +24,19 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     if radiance.data.is_empty() {
         return Err(Error::invalid("the texture-based lighting has no texels: expected at least 1×1"));
     }
+    sized("texels of the texture-based lighting", radiance.data.len(), radiance.width * radiance.height)?;
     let triangles = mesh.triangles.len();
     let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
-    if lights.density.len() == triangles && known {
+    if lights.density.len() != triangles || !known {
+        return Err(Error::invalid(format!(
+            "the lights are those of another mesh: {} densities, {triangles} triangles",
+            lights.density.len()
+        )));
+    }
+    if lights.is_consistent() {
         return Ok(());
     }
-    Err(Error::invalid(format!(
-        "the lights are those of another mesh: {} densities, {triangles} triangles",
-        lights.density.len()
-    )))
+    Err(Error::invalid("the lights' clusters, tables and grid do not fit each other; expected those that Lights makes"))
 }
 
 /// That irradiance is gathered by some cosine samples: [`super::Gathered::back_faces`] is their share.
@@ -64,7 +68,12 @@ pub fn radiance_loss(rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<()> {
 }
 
 /// That groups are consistent and refer to pixels that exist.
-pub fn group_loss(values: &[f32], channels: usize, groups: &Groups) -> Result<()> {
+pub fn group_loss(values: &[f32], channels: usize, groups: &Groups, target: GroupTarget) -> Result<()> {
+    if let GroupTarget::Quantile(q) = target
+        && !(0.0..=1.0).contains(&q)
+    {
+        return Err(Error::invalid(format!("quantile {q} of a group; expected a share between 0 and 1")));
+    }
     let pixels = values.len() / channels.max(1);
     sized("offsets of groups", groups.offsets.len(), groups.references.len() + 1)?;
     let ascending =
@@ -83,14 +92,31 @@ pub fn group_loss(values: &[f32], channels: usize, groups: &Groups) -> Result<()
 
 /// That the texture has the size of the pyramid's finest level, and that footprints lie in the pyramid.
 pub fn lookup(pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<()> {
+    counted(channels)?;
     sized("texture of lookup", texture.len(), texels(pyramid) * channels)?;
+    lists(footprints)?;
     within(pyramid, footprints.taps.iter().map(|tap| tap.texel))
 }
 
 /// That every footprint has a cotangent, and that footprints lie in the pyramid.
 pub fn lookup_vjp(pyramid: &Pyramid, d_values: &[f32], channels: usize, footprints: &Footprints) -> Result<()> {
+    counted(channels)?;
     sized("cotangents of lookup_vjp", d_values.len(), footprints.len() * channels)?;
+    sized("columns of footprints", footprints.columns.len(), footprints.touched.len())?;
+    lists(&footprints.columns)?;
     within(pyramid, footprints.touched.iter().copied())
+}
+
+fn counted(channels: usize) -> Result<()> {
+    if channels > 0 { Ok(()) } else { Err(Error::invalid("a texture of 0 channels; expected at least one")) }
+}
+
+/// That offsets ascend to the number of taps.
+fn lists(rows: &Rows) -> Result<()> {
+    if rows.offsets.is_sorted() && rows.offsets.last().is_some_and(|&n| n as usize == rows.taps.len()) {
+        return Ok(());
+    }
+    Err(Error::invalid("footprints: offsets must ascend to the number of taps"))
 }
 
 /// Texels of the finest level.

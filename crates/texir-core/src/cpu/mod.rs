@@ -142,7 +142,7 @@ impl Backend for CpuBackend<'_> {
     ) -> Result<Vec<Gathered>> {
         check::irradiance(gather)?;
         let (lighting, lights) = self.lighting()?;
-        map_in_chunks(points, progress, u64::from(gather.cosine + gather.light), |_, point| {
+        map_in_chunks(points, progress, u64::from(gather.cosine) + u64::from(gather.light), |_, point| {
             irradiance::irradiance::<f32, _>(&lighting, lights, point, gather)
         })
     }
@@ -245,7 +245,7 @@ impl Backend for CpuBackend<'_> {
         groups: &Groups,
         target: GroupTarget,
     ) -> Result<Loss<f32>> {
-        check::group_loss(values, channels, groups)?;
+        check::group_loss(values, channels, groups, target)?;
         let mut gradient = vec![0.0; values.len()];
         let value = group_loss::group_loss(values, channels, groups, target, &mut gradient);
         Ok(Loss { value, gradient })

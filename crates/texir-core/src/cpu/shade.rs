@@ -4,8 +4,8 @@
 use super::trace::{Lighting, Trace};
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::{
-    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, sample_cos2, sample_weight,
-    schlick,
+    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, sample_half_vector,
+    sample_weight, schlick,
 };
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -56,8 +56,7 @@ fn sample_lobe<R: Real>(
     let (zero, one, two) = (R::of(0.0), R::of(1.0), R::of(2.0));
     let (tangent, bitangent) = basis(normal);
     let (u, phi) = (R::of(f64::from(u)), R::of(std::f64::consts::TAU * f64::from(v)));
-    let cos2 = sample_cos2(u, r);
-    let (cos, sin) = (cos2.sqrt(), (one - cos2).max(zero).sqrt());
+    let [sin, cos] = sample_half_vector(u, r);
     let azimuth = tangent * phi.cos() + bitangent * phi.sin();
     let half = azimuth * sin + normal * cos;
     let vh = view.dot(half);

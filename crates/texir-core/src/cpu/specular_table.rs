@@ -5,7 +5,7 @@ use super::irradiance::cosine_direction;
 use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::ShadePoint;
-use crate::brdf::{basis, distribution_at, fresnel_weight, sample_cos2};
+use crate::brdf::{basis, distribution_at, fresnel_weight, sample_half_vector};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -74,8 +74,7 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
         let (normal, view) = (V3::of(self.point.normal), V3::<R>::of(self.point.view));
         let (tangent, bitangent) = basis(normal);
         let phi = R::of(std::f64::consts::TAU * f64::from(v));
-        let cos2 = sample_cos2(R::of(f64::from(u)), R::of(f64::from(r)));
-        let (cos, sin) = (cos2.sqrt(), (R::of(1.0) - cos2).max(R::of(0.0)).sqrt());
+        let [sin, cos] = sample_half_vector(R::of(f64::from(u)), R::of(f64::from(r)));
         let half = (tangent * phi.cos() + bitangent * phi.sin()) * sin + normal * cos;
         half * (R::of(2.0) * view.dot(half)) - view
     }

@@ -104,7 +104,7 @@ fn detached<R: Real>(light: &Lighting<'_, Exhaustive<'_>>, point: &ShadePoint, r
     let mut sum = V3::zero();
     for i in 0..SAMPLING.samples {
         let [u1, u2] = sobol2(i, hash2(SAMPLING.seed, point.sequence)).map(f64::from);
-        let cos = brdf::sample_cos2(u1, r).sqrt();
+        let cos = brdf::sample_half_vector(u1, r)[1];
         let (sin, phi) = ((1.0 - cos * cos).sqrt(), std::f64::consts::TAU * u2);
         let h = t * (sin * phi.cos()) + b * (sin * phi.sin()) + n * cos;
         let vh = v.dot(h);

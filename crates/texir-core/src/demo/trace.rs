@@ -7,7 +7,8 @@ use super::Flat;
 use super::emitters::{Choice, Emitters};
 use super::random::Sample;
 use crate::brdf::{
-    Cosines, DIELECTRIC_F0, Masking, basis, fresnel_weight, pdf, sample_cos2, sample_weight, specular_over_fresnel,
+    Cosines, DIELECTRIC_F0, Masking, basis, fresnel_weight, pdf, sample_half_vector, sample_weight,
+    specular_over_fresnel,
 };
 use crate::cpu::trace::{Trace, intersect};
 use crate::error::Result;
@@ -149,7 +150,7 @@ pub(super) fn lobe(normal: Vec3, view: Vec3, light: Vec3, roughness: f32) -> (f3
 
 /// Draws a direction from the lobe; `None` below the surface.
 pub(super) fn sample_lobe(normal: Vec3, view: Vec3, roughness: f32, [u, v]: [f32; 2]) -> Option<LobeSample> {
-    let nh = sample_cos2(u, roughness).sqrt();
+    let nh = sample_half_vector(u, roughness)[1];
     let half = around(normal, nh, v);
     let vh = view.dot(half);
     let direction = half * (2.0 * vh) - view;

@@ -115,6 +115,23 @@ impl Lights {
         self.triangles.is_empty()
     }
 
+    /// Whether every index of one part lies within another. Only lights made by hand, field by field, may not be.
+    pub fn is_consistent(&self) -> bool {
+        let clusters = self.clusters.len().saturating_sub(1);
+        let ascending = self.clusters.first() == Some(&0)
+            && self.clusters.is_sorted()
+            && self.clusters.last().is_some_and(|&n| n as usize == self.triangles.len());
+        let whole = if clusters == 0 { self.tables.is_empty() } else { self.tables.len().is_multiple_of(clusters) };
+        let tables = self.tables.len().checked_div(clusters).unwrap_or(0);
+        let [x, y, z] = self.grid.size.map(|n| n as usize);
+        ascending
+            && whole
+            && (clusters == 0 || tables > 0)
+            && self.density.iter().all(|d| d.per_area == 0.0 || (d.cluster as usize) < clusters)
+            && self.grid.tables.len() == 6 * x * y * z
+            && (clusters == 0 || self.grid.tables.iter().all(|&table| (table as usize) < tables))
+    }
+
     /// The table for light that arrives at a point of the surface with this normal.
     pub fn table(&self, position: Vec3, normal: Vec3) -> &[f32] {
         let clusters = self.clusters.len() - 1;

@@ -2,9 +2,14 @@
 
 use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{GroupTarget, Groups, Loss};
+use texir_core::cpu;
 use texir_core::error::Result;
 
 use crate::batch::Context;
+
+/// Members of a group at most on a software driver, which silently ends a thread after 65,535 iterations of all its loops: 256 threads
+/// go through a group seven times.
+const MOST_MEMBERS: u32 = 2_000_000;
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -23,6 +28,12 @@ pub(crate) fn run(
     groups: &Groups,
     target: GroupTarget,
 ) -> Result<Loss<f32>> {
+    let largest = groups.offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
+    if ctx.gpu.is_cpu() && largest > MOST_MEMBERS {
+        let mut gradient = vec![0.0; values.len()];
+        let value = cpu::group_loss::group_loss(values, channels, groups, target, &mut gradient);
+        return Ok(Loss { value, gradient });
+    }
     let jobs = groups.references.len() * channels;
     let (entry, quantile) = match target {
         GroupTarget::Mean => ("mean_target", 0.0),

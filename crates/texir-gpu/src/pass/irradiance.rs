@@ -129,5 +129,7 @@ pub(crate) fn run(
     let out = Vec::with_capacity(points.len());
     let mut pass = Irradiance { kernels, samples, geometry, lighting, points, gather, shape, out };
     ctx.gather(points.len(), samples, shape, progress, &mut pass)?;
+    // Rays to what there is not were asked for too.
+    progress.advance(points.len() as u64 * u64::from(gather.light - light - sky));
     Ok(pass.out)
 }
