@@ -10,6 +10,7 @@ use std::hash::{BuildHasherDefault, DefaultHasher};
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::stats::median;
 use crate::surface::SurfacePoint;
 
 /// Sizes of cells that are tried: from the finest, each twice the one before.
@@ -55,8 +56,7 @@ pub(crate) fn mean(radiance: [f32; 3]) -> f32 {
 /// The mean over the channels above which a texel is taken for a light source; 0 without texels.
 pub(crate) fn source_limit(known: &[Option<[f32; 3]>]) -> f32 {
     let mut means: Vec<f32> = known.iter().flatten().map(|&radiance| mean(radiance)).collect();
-    let middle = means.len() / 2;
-    if means.is_empty() { 0.0 } else { SOURCE * *means.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    median(&mut means).map_or(0.0, |median| SOURCE * median)
 }
 
 /// Weighted sum of logarithms.

@@ -43,6 +43,7 @@ pub mod rng;
 pub mod rooms;
 pub mod scene;
 pub mod specular_table;
+mod stats;
 pub mod surface;
 pub mod tbl;
 pub mod text_file;

@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::inpaint;
 use crate::progress::Progress;
 use crate::raster::{Mask, Rgb, luminance};
+use crate::stats::median;
 use crate::surface::SurfacePoint;
 
 /// Finds the texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and that
@@ -40,9 +41,7 @@ pub fn find(
     }
     let candidates: Vec<usize> = (0..atlas.texels.len()).filter(|&i| mask.data[atlas.texels[i] as usize]).collect();
     for (i, mut seen) in candidates.iter().zip(sightings(backend, atlas, &candidates, views, progress)?) {
-        if !seen.is_empty() {
-            let middle = seen.len() / 2;
-            let median = *seen.select_nth_unstable_by(middle, f32::total_cmp).1;
+        if let Some(median) = median(&mut seen) {
             let texel = atlas.texels[*i] as usize;
             mask.data[texel] = median > least(texel);
         }

@@ -2,6 +2,7 @@
 
 use super::TblOptions;
 use super::sample::Observation;
+use crate::stats;
 
 /// Darker than the median by this much of the views' spread (median absolute deviation) is an outlier: somebody walked
 /// through the picture, or another surface is in the way. Twice that of a normal distribution's three standard deviations.
@@ -70,8 +71,7 @@ impl Best {
         // Whoever is close sees more highlights: here, views count alike.
         let median = seen.get(seen.len() / 2)?.luminance;
         let mut spread: Vec<f32> = seen.iter().map(|s| (s.luminance - median).abs()).collect();
-        spread.sort_by(f32::total_cmp);
-        let allowed = (DARKER * spread[spread.len() / 2]).max(CLEARLY_DARKER);
+        let allowed = (DARKER * stats::median(&mut spread)?).max(CLEARLY_DARKER);
         seen.retain(|s| s.luminance >= median - allowed);
         let diffuse = quantile(&seen, options.quantile)?;
         let (mut sum, mut total) = ([0.0; 3], 0.0);

@@ -20,6 +20,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Gray;
 use crate::scene::Scene;
+use crate::stats::median;
 use crate::surface::{Hit, SurfacePoint};
 
 /// The widest point spread that can be undone, square pixels: images hold little of what is finer.
@@ -171,8 +172,7 @@ impl<'a> Points<'a> {
         // Exposures may differ.
         let factors = candidates.iter().map(|(pixel, ..)| image.data[*pixel] / predicted[*pixel]);
         let mut factors: Vec<f32> = factors.filter(|factor| factor.is_finite()).collect();
-        factors.sort_by(f32::total_cmp);
-        let factor = factors.get(factors.len() / 2).copied().unwrap_or(1.0);
+        let factor = median(&mut factors).unwrap_or(1.0);
         predicted.iter_mut().for_each(|radiance| *radiance *= factor);
         let compare = |(pixel, ratio): (usize, f32)| -> Option<Comparison> {
             let (x, y) = ((pixel % image.width) as i64, (pixel / image.width) as i64);

@@ -6,6 +6,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::mesh::Mesh;
+use crate::stats::median;
 
 /// Cells that an edge is found in, at most.
 const STEPS: f32 = 4096.0;
@@ -130,11 +131,7 @@ impl Edge {
 /// of an object that meet with other vertices, as the cover of a lampshade and its side.
 fn across_cracks(edges: &[Edge]) -> Vec<Option<u32>> {
     let mut lengths: Vec<f32> = edges.iter().map(Edge::length).collect();
-    let middle = lengths.len() / 2;
-    let Some(&mut median) = (!lengths.is_empty()).then(|| lengths.select_nth_unstable_by(middle, f32::total_cmp).1)
-    else {
-        return Vec::new();
-    };
+    let Some(median) = median(&mut lengths) else { return Vec::new() };
     let cell = median.max(WELD);
     let cell_of = |point: Vec3| (point / cell).floor().as_ivec3();
     let mut cells: HashMap<IVec3, Vec<u32>> = HashMap::new();

@@ -2,6 +2,7 @@
 
 use crate::inpaint;
 use crate::raster::{Mask, Rgb};
+use crate::stats::median;
 
 /// A pixel that a mask excludes is taken for a light source when it is this many times brighter than the median of those
 /// that the mask leaves.
@@ -27,8 +28,7 @@ impl Photo {
             let kept = image.data.iter().zip(&unmasked.data).filter(|(_, kept)| **kept);
             let means = kept.map(|(radiance, _)| inpaint::mean(*radiance));
             let mut means: Vec<f32> = means.filter(|mean| mean.is_finite()).collect();
-            let middle = means.len() / 2;
-            let median = if means.is_empty() { 0.0 } else { *means.select_nth_unstable_by(middle, f32::total_cmp).1 };
+            let median = median(&mut means).unwrap_or(0.0);
             for (radiance, kept) in image.data.iter_mut().zip(&unmasked.data) {
                 if !kept && inpaint::mean(*radiance) <= SOURCE * median {
                     *radiance = [f32::NAN; 3];

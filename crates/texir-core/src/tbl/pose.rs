@@ -20,6 +20,7 @@ use crate::inpaint;
 use crate::progress::Progress;
 use crate::raster::Gray;
 use crate::scene::Scene;
+use crate::stats::median;
 use crate::surface::SurfacePoint;
 
 /// Side of the atlas whose texels are compared.
@@ -80,8 +81,7 @@ pub(super) fn refine_photos(
                 .filter_map(|i| {
                     let others = shown.iter().enumerate().filter(|(other, _)| *other != view).map(|(_, logs)| logs[i]);
                     let mut others: Vec<f32> = others.filter(|log| log.is_finite()).collect();
-                    others.sort_by(f32::total_cmp);
-                    Some((Vec3::from(points[i].position), *others.get(others.len() / 2)?))
+                    Some((Vec3::from(points[i].position), median(&mut others)?))
                 })
                 .collect();
             *camera = align(*camera, &luminance(&load(view)?), &predictions);

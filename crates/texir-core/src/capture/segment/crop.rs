@@ -7,6 +7,7 @@ use glam::{Mat4, Vec2, Vec3, Vec4};
 use crate::camera::{Camera, Projection};
 use crate::image_io::encode_srgb;
 use crate::raster::{Raster, Rgb, luminance};
+use crate::stats::median;
 
 /// Half the angle that a crop of a panorama takes in. The faces of a cube would do with 45°; what is beyond that overlaps.
 const HALF_ANGLE_DEGREES: f32 = 52.0;
@@ -105,10 +106,6 @@ pub(super) fn cut(image: &Rgb, view: &Camera, crop: &Camera) -> Rgb {
 pub(super) fn expose(crops: &[Rgb]) -> Vec<Raster<[u8; 3]>> {
     let lit = |pixel: &[f32; 3]| Some(luminance(pixel)).filter(|l| *l > 0.0);
     let mut luminances: Vec<f32> = crops.iter().flat_map(|crop| crop.data.iter().filter_map(lit)).collect();
-    let middle = luminances.len() / 2;
-    let exposure = match luminances.is_empty() {
-        true => 1.0,
-        false => MIDDLE_GREY / *luminances.select_nth_unstable_by(middle, f32::total_cmp).1,
-    };
+    let exposure = median(&mut luminances).map_or(1.0, |median| MIDDLE_GREY / median);
     crops.iter().map(|crop| encode_srgb(&crop.map(|pixel| pixel.map(|v| v * exposure)))).collect()
 }

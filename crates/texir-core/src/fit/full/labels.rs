@@ -19,6 +19,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Mask;
 use crate::scene::Scene;
+use crate::stats::median;
 use crate::surface::SurfacePoint;
 use crate::tbl::shown::{Shown, pixels_per_steradian};
 
@@ -224,17 +225,14 @@ impl Votes {
         for (ballot, &surface) in votes.iter().zip(surface).filter(|(ballot, _)| ballot.weight() > 0.0) {
             on_surface.entry(surface).or_default().push(ballot.weight());
         }
-        let usual: HashMap<u32, f32> =
-            on_surface.into_iter().map(|(surface, weights)| (surface, median(weights))).collect();
+        let usual: HashMap<u32, f32> = on_surface
+            .into_iter()
+            .filter_map(|(surface, mut weights)| Some((surface, median(&mut weights)?)))
+            .collect();
         let label =
             |(ballot, surface): (&Ballot, &u32)| ballot.winner().filter(|_| ballot.weight() >= SCARCE * usual[surface]);
         votes.iter().zip(surface).map(label).collect()
     }
-}
-
-fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 /// Averages with the neighbours that blur by a standard deviation, metres, on texels `size` wide.
