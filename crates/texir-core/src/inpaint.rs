@@ -10,6 +10,7 @@ use std::hash::{BuildHasherDefault, DefaultHasher};
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::raster::mean_of_channels;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 
@@ -30,7 +31,7 @@ const BLACK: f32 = 1e-6;
 pub(crate) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
     let limit = source_limit(known);
     let group: Vec<u32> = points.par_iter().map(|p| facing(p.normal.into())).collect();
-    fill_groups(points, &group, known, |value| mean(value) <= limit, texel)
+    fill_groups(points, &group, known, |value| mean_of_channels(value) <= limit, texel)
 }
 
 /// The values of all points, non-negative, where `known` as they are, else those near in the point's group that are
@@ -48,14 +49,9 @@ pub(crate) fn fill_groups(
     (0..points.len()).into_par_iter().map(value).collect()
 }
 
-/// Mean of the channels.
-pub(crate) fn mean(radiance: [f32; 3]) -> f32 {
-    radiance.iter().sum::<f32>() / 3.0
-}
-
 /// The mean over the channels above which a texel is taken for a light source; 0 without texels.
 pub(crate) fn source_limit(known: &[Option<[f32; 3]>]) -> f32 {
-    let mut means: Vec<f32> = known.iter().flatten().map(|&radiance| mean(radiance)).collect();
+    let mut means: Vec<f32> = known.iter().flatten().map(|&radiance| mean_of_channels(radiance)).collect();
     median(&mut means).map_or(0.0, |median| SOURCE * median)
 }
 

@@ -118,6 +118,11 @@ pub fn luminance(rgb: &[f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
 }
 
+/// Mean of the channels of linear RGB; [`luminance`] weighs them as eyes do.
+pub(crate) fn mean_of_channels(rgb: impl Into<[f32; 3]>) -> f32 {
+    rgb.into().iter().sum::<f32>() / 3.0
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

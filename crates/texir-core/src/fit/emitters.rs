@@ -7,7 +7,7 @@ use crate::capture::{Coverage, Tbl, View};
 use crate::error::Result;
 use crate::inpaint;
 use crate::progress::Progress;
-use crate::raster::{Mask, Rgb, luminance};
+use crate::raster::{Mask, Rgb, luminance, mean_of_channels};
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 
@@ -30,7 +30,7 @@ pub fn find(
     let is_seen = |t: usize| tbl.coverage.data[t] == Coverage::Seen;
     let seen: Vec<_> = texels().map(|t| is_seen(t).then(|| radiance.data[t])).collect();
     let limit = inpaint::source_limit(&seen);
-    let known = |t: usize| is_seen(t) || inpaint::mean(radiance.data[t]) > limit;
+    let known = |t: usize| is_seen(t) || mean_of_channels(radiance.data[t]) > limit;
     let sum: f64 = texels().map(|t| f64::from(luminance(&radiance.data[t]))).sum();
     let mean = (sum / atlas.texels.len() as f64) as f32;
     let reflected = |t: usize| luminance(&irradiance.data[t]) * std::f32::consts::FRAC_1_PI;

@@ -2,6 +2,7 @@
 
 use super::TblOptions;
 use super::sample::Observation;
+use crate::raster::mean_of_channels;
 use crate::stats;
 
 /// Darker than the median by this much of the views' spread (median absolute deviation) is an outlier: somebody walked
@@ -24,7 +25,7 @@ pub(super) struct Best {
 #[derive(Clone, Copy)]
 struct Seen {
     /// ln of the mean of the channels.
-    luminance: f32,
+    log_mean: f32,
     /// Views are blended in proportion to it.
     weight: f32,
     radiance: [f32; 3],
@@ -62,17 +63,17 @@ impl Best {
             .iter()
             .flatten()
             .map(|o| Seen {
-                luminance: log(o.radiance.iter().sum::<f32>() / 3.0),
+                log_mean: log(mean_of_channels(o.radiance)),
                 weight: o.weight.powf(options.sharpness),
                 radiance: o.radiance,
             })
             .collect();
-        seen.sort_by(|a, b| a.luminance.total_cmp(&b.luminance));
+        seen.sort_by(|a, b| a.log_mean.total_cmp(&b.log_mean));
         // Whoever is close sees more highlights: here, views count alike.
-        let median = seen.get(seen.len() / 2)?.luminance;
-        let mut spread: Vec<f32> = seen.iter().map(|s| (s.luminance - median).abs()).collect();
+        let median = seen.get(seen.len() / 2)?.log_mean;
+        let mut spread: Vec<f32> = seen.iter().map(|s| (s.log_mean - median).abs()).collect();
         let allowed = (DARKER * stats::median(&mut spread)?).max(CLEARLY_DARKER);
-        seen.retain(|s| s.luminance >= median - allowed);
+        seen.retain(|s| s.log_mean >= median - allowed);
         let diffuse = quantile(&seen, options.quantile)?;
         let (mut sum, mut total) = ([0.0; 3], 0.0);
         for Seen { weight, radiance, .. } in seen {
@@ -91,7 +92,7 @@ fn weight(observation: &Option<Observation>) -> f32 {
     observation.as_ref().map_or(f32::NEG_INFINITY, |o| o.weight)
 }
 
-/// The first of `sorted` (by luminance) at which the sum of the weights reaches this share of all.
+/// The first of `sorted` (by `log_mean`) at which the sum of the weights reaches this share of all.
 fn quantile(sorted: &[Seen], share: f32) -> Option<Seen> {
     let least = share * sorted.iter().map(|s| s.weight).sum::<f32>();
     let mut below = 0.0;

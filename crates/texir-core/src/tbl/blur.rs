@@ -15,10 +15,9 @@ use crate::backend::{Backend, Projected};
 use crate::camera::{Camera, Projection};
 use crate::capture::View;
 use crate::error::Result;
-use crate::inpaint;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::raster::Gray;
+use crate::raster::{Gray, mean_of_channels};
 use crate::scene::Scene;
 use crate::stats::median;
 use crate::surface::{Hit, SurfacePoint};
@@ -85,7 +84,7 @@ pub(super) fn measure_photos(
     progress.start("sharpness", cameras.len() as u64, "views");
     let gray = |i: usize| {
         progress.check()?;
-        Ok(load(i)?.image.map(|radiance| inpaint::mean(*radiance)))
+        Ok(load(i)?.image.map(|radiance| mean_of_channels(*radiance)))
     };
     let images: Vec<Gray> = (0..cameras.len()).map(gray).collect::<Result<_>>()?;
     let mut comparisons = Vec::new();

@@ -29,6 +29,7 @@ use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
 use crate::inpaint;
 use crate::progress::Progress;
+use crate::raster::mean_of_channels;
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 use blend::Best;
@@ -183,7 +184,8 @@ impl Fusion<'_> {
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
             let filled = given.filter(|tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted);
-            *radiance = filled.map(|tbl| tbl.radiance.data[t as usize]).filter(|&value| inpaint::mean(value) <= limit);
+            *radiance =
+                filled.map(|tbl| tbl.radiance.data[t as usize]).filter(|&value| mean_of_channels(value) <= limit);
         }
         let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
         let mut known = seen.clone();
@@ -243,7 +245,7 @@ impl Fusion<'_> {
         let mut dark_parts: HashMap<u32, f32> = HashMap::new();
         for ((&texel, &resolved), &shown) in found.texels.iter().zip(&found.radiance).zip(&found.shown) {
             let texel = texel as usize;
-            if inpaint::mean(resolved) > found.limit {
+            if mean_of_channels(resolved) > found.limit {
                 radiance[texel] = Some(resolved);
             } else {
                 beside.push(texel);

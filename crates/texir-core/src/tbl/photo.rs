@@ -1,7 +1,6 @@
 //! The pixels of a view that the TBL may be made of.
 
-use crate::inpaint;
-use crate::raster::{Mask, Rgb};
+use crate::raster::{Mask, Rgb, mean_of_channels};
 use crate::stats::median;
 
 /// A pixel that a mask excludes is taken for a light source when it is this many times brighter than the median of those
@@ -26,11 +25,11 @@ impl Photo {
     pub fn new(mut image: Rgb, unmasked: Option<Mask>) -> Self {
         if let Some(unmasked) = &unmasked {
             let kept = image.data.iter().zip(&unmasked.data).filter(|(_, kept)| **kept);
-            let means = kept.map(|(radiance, _)| inpaint::mean(*radiance));
+            let means = kept.map(|(radiance, _)| mean_of_channels(*radiance));
             let mut means: Vec<f32> = means.filter(|mean| mean.is_finite()).collect();
             let median = median(&mut means).unwrap_or(0.0);
             for (radiance, kept) in image.data.iter_mut().zip(&unmasked.data) {
-                if !kept && inpaint::mean(*radiance) <= SOURCE * median {
+                if !kept && mean_of_channels(*radiance) <= SOURCE * median {
                     *radiance = [f32::NAN; 3];
                 }
             }

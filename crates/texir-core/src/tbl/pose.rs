@@ -16,9 +16,8 @@ use crate::camera::{Camera, Projection};
 use crate::capture::View;
 use crate::cholesky;
 use crate::error::Result;
-use crate::inpaint;
 use crate::progress::Progress;
-use crate::raster::Gray;
+use crate::raster::{Gray, mean_of_channels};
 use crate::scene::Scene;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
@@ -65,7 +64,7 @@ pub(super) fn refine_photos(
         let mut shown: Vec<Vec<f32>> = Vec::with_capacity(cameras.len());
         for (view, camera) in cameras.iter().enumerate() {
             progress.check()?;
-            let image = luminance(&load(view)?);
+            let image = log_means(&load(view)?);
             let projected = backend.project(&points, camera)?;
             let log = |at: &crate::backend::Projected| match at.distance > 0.0 && at.cosine >= MIN_COSINE {
                 true => bilinear(&image, camera, at.pixel.into()),
@@ -84,7 +83,7 @@ pub(super) fn refine_photos(
                     Some((Vec3::from(points[i].position), median(&mut others)?))
                 })
                 .collect();
-            *camera = align(*camera, &luminance(&load(view)?), &predictions);
+            *camera = align(*camera, &log_means(&load(view)?), &predictions);
             progress.advance(1);
         }
     }
@@ -93,8 +92,8 @@ pub(super) fn refine_photos(
 }
 
 /// ln of the mean of the channels; NaN where a pixel must not be used.
-fn luminance(photo: &Photo) -> Gray {
-    photo.image.map(|radiance| (inpaint::mean(*radiance) + BLACK).ln())
+fn log_means(photo: &Photo) -> Gray {
+    photo.image.map(|radiance| (mean_of_channels(*radiance) + BLACK).ln())
 }
 
 /// The image between pixel centres.

@@ -26,7 +26,7 @@ use crate::camera::{Camera, Projection};
 use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::inpaint;
-use crate::raster::Rgb;
+use crate::raster::{Rgb, mean_of_channels};
 use crate::real::V3;
 use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
@@ -91,11 +91,11 @@ pub(super) fn resolve(
     blended: &[Option<[f32; 3]>],
 ) -> Result<Surroundings> {
     let limit = inpaint::source_limit(blended);
-    let mut sources: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| inpaint::mean(b) > limit)).collect();
+    let mut sources: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
     let mut explained = explain_around(fusion, backend, load, blended, (&sources, joined))?;
     for _ in 0..REVIEWS {
         let Explained { texels, radiance, .. } = &explained;
-        let shining = texels.iter().zip(radiance).filter(|(_, radiance)| mean(**radiance) > limit);
+        let shining = texels.iter().zip(radiance).filter(|(_, radiance)| mean_of_channels(**radiance) > limit);
         let new: Vec<usize> = shining.map(|(t, _)| *t as usize).filter(|&t| !sources[t]).collect();
         if new.is_empty() {
             break;
@@ -108,7 +108,7 @@ pub(super) fn resolve(
     rows.taps.iter().for_each(|tap| shown[tap.texel as usize] += tap.weight);
 
     let sum = |row: usize, least: f32| -> f32 {
-        let shown = rows.row(row).iter().map(|tap| (mean(radiance[tap.texel as usize]), tap.weight));
+        let shown = rows.row(row).iter().map(|tap| (mean_of_channels(radiance[tap.texel as usize]), tap.weight));
         shown.filter(|(value, _)| *value > least).map(|(value, share)| value * share).sum()
     };
     let mut mixed = vec![Vec::new(); fusion.cameras.len()];
@@ -303,7 +303,7 @@ fn explain_parts(
     }
     let dim = |t: u32| match (parts[t as usize], start[t as usize]) {
         (Place::Resolved, Some(start)) => start,
-        (_, Some(start)) => start * (limit / mean(start).max(limit).max(BLACK)),
+        (_, Some(start)) => start * (limit / mean_of_channels(start).max(limit).max(BLACK)),
         (_, None) => Vec3::ZERO,
     };
     let of_parts = |row: usize| {
@@ -356,10 +356,6 @@ fn explain(rows: &Rows, seen: &[Vec3], beside: &[Vec3], start: &[Option<Vec3>], 
         }
     }
     texels
-}
-
-fn mean(radiance: Vec3) -> f32 {
-    inpaint::mean(radiance.to_array())
 }
 
 #[cfg(test)]

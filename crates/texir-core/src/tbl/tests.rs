@@ -7,7 +7,7 @@ use crate::camera::Projection;
 use crate::cpu::CpuBackend;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
-use crate::raster::{Mask, Rgb};
+use crate::raster::{Mask, Rgb, mean_of_channels};
 
 const SIZE: (usize, usize) = (384, 256);
 const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
@@ -361,7 +361,7 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     let mut load = |i: usize| Ok(Photo::new(images[i].clone(), None));
     let blended = fusion.blend(&mut backend, &mut load, &atlas.points).unwrap();
     let limit = inpaint::source_limit(&blended);
-    let bright: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| inpaint::mean(b) > limit)).collect();
+    let bright: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
     let once =
         sources::explain_around(&fusion, &mut backend, &mut load, &blended, (&bright, &Joined::new(&scene.mesh)))
             .unwrap();

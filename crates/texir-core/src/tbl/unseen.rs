@@ -7,8 +7,8 @@ use glam::Vec3;
 
 use super::joined::Joined;
 use crate::atlas::Atlas;
-use crate::inpaint;
 use crate::mesh::Mesh;
+use crate::raster::mean_of_channels;
 
 /// A triangle is a light source when at least this share of its seen texels are: a ceiling of which mostly its lamp is seen
 /// shall not shine where it is not seen.
@@ -72,7 +72,7 @@ fn light_of_seen(mesh: &Mesh, atlas: &Atlas, limit: f32, seen: &[bool], radiance
     for ((point, radiance), _) in atlas.points.iter().zip(radiance).zip(seen).filter(|(_, seen)| **seen) {
         let triangle = &mut known[point.triangle as usize];
         triangle.texels += 1;
-        if inpaint::mean(*radiance) > limit {
+        if mean_of_channels(*radiance) > limit {
             triangle.sources += 1;
             triangle.light += Vec3::from(*radiance);
         }
