@@ -13,7 +13,7 @@ use gltf::texture::{Info, WrappingMode};
 use image::{ImageReader, RgbImage};
 
 use crate::error::{Error, Result};
-use crate::image_io::limits;
+use crate::image_io::{TransferCurve, limits};
 
 /// A factor and the image that it scales.
 pub(super) struct Colour {
@@ -95,10 +95,9 @@ fn wrapped(at: f32, size: u32, mode: WrappingMode) -> u32 {
     (inside.max(0.0) as u32).min(size - 1)
 }
 
-/// The sRGB transfer function (IEC 61966-2-1) of eight bits.
+/// Linear light of eight bits of sRGB.
 fn linear_from_srgb(v: u8) -> f32 {
-    let v = f32::from(v) / 255.0;
-    if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    TransferCurve::Srgb.decode(f32::from(v) / 255.0)
 }
 
 /// An image's file as it stands in the document: a buffer view, a data URI or a file beside it.
