@@ -16,6 +16,7 @@ pub mod decimate;
 pub mod demo;
 pub mod denoise;
 pub mod diffuse;
+mod disjoint_sets;
 pub mod environment;
 pub mod error;
 pub mod eval;

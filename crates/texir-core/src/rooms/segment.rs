@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::RoomOptions;
 use super::distance::{between, nearest};
+use crate::disjoint_sets::DisjointSets;
 use crate::raster::{Labels, Mask};
 
 /// A room is wide enough for a disc of this radius, metres; the hollow inside a wall is not.
@@ -77,9 +78,10 @@ struct Basin {
     area: usize,
 }
 
-/// Basins joined by union-find.
+/// Basins, of which some are joined.
 struct Basins {
-    parent: Vec<u32>,
+    joined: DisjointSets,
+    /// A root holds what all that are joined with it are together.
     basins: Vec<Basin>,
     /// Basin of every cell, [`Basins::NONE`] outside free space.
     of_cell: Vec<u32>,
@@ -92,7 +94,8 @@ impl Basins {
     /// if the passage is no wider than a doorway and narrow against the smaller one; otherwise they are one room.
     fn flood(free: &Mask, cell: f32, options: &RoomOptions) -> Self {
         let (w, h) = free.size();
-        let mut flooded = Self { parent: Vec::new(), basins: Vec::new(), of_cell: vec![Self::NONE; w * h] };
+        let mut flooded =
+            Self { joined: DisjointSets::default(), basins: Vec::new(), of_cell: vec![Self::NONE; w * h] };
         let Some(wall) = nearest(&free.map(|f| !f)) else { return flooded };
         let depth: Vec<f32> = (0..w * h).map(|c| between(w, c, wall[c] as usize)).collect();
         let mut order: Vec<usize> = (0..w * h).filter(|&c| free.data[c]).collect();
@@ -125,31 +128,23 @@ impl Basins {
 
     /// A new basin of one cell.
     fn add(&mut self, peak: f32) -> u32 {
-        let id = self.parent.len() as u32;
-        self.parent.push(id);
         self.basins.push(Basin { peak, area: 1 });
-        id
+        self.joined.add()
     }
 
     /// The basin that `id` was joined into.
-    fn root(&mut self, mut id: u32) -> u32 {
-        while self.parent[id as usize] != id {
-            let grandparent = self.parent[self.parent[id as usize] as usize];
-            self.parent[id as usize] = grandparent;
-            id = grandparent;
-        }
-        id
+    fn root(&mut self, id: u32) -> u32 {
+        self.joined.root(id)
     }
 
     /// The basins that were not joined into another.
     fn roots(&self) -> impl Iterator<Item = u32> {
-        (0..self.parent.len() as u32).filter(|&id| self.parent[id as usize] == id)
+        self.joined.roots()
     }
 
-    /// Joins two roots; the lower id stays.
+    /// Joins two roots that are not the same; the lower id stays.
     fn join(&mut self, a: u32, b: u32) -> u32 {
-        let (keep, gone) = (a.min(b), a.max(b));
-        self.parent[gone as usize] = keep;
+        let [keep, gone] = self.joined.join(a, b);
         let lost = std::mem::take(&mut self.basins[gone as usize]);
         let kept = &mut self.basins[keep as usize];
         kept.peak = kept.peak.max(lost.peak);

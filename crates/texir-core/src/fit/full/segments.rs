@@ -9,6 +9,7 @@ use super::colours::Colours;
 use super::labels::Labels;
 use super::{automatic, borders, hidden};
 use crate::atlas::Atlas;
+use crate::disjoint_sets::DisjointSets;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::rooms::FloorPlan;
 
@@ -151,12 +152,10 @@ pub(super) fn connected(
     pairs: &[[u32; 2]],
     together: impl Fn(u32, u32) -> bool,
 ) -> (Vec<u32>, usize) {
-    let mut parent: Vec<u32> = (0..count as u32).collect();
+    let mut sets = DisjointSets::new(count);
     let mut join = |a: u32, b: u32| {
         if together(a, b) {
-            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-            // The lower index leads, so that numbers do not depend on the order of joining.
-            parent[a.max(b) as usize] = a.min(b);
+            sets.join(a, b);
         }
     };
     for i in 0..count as u32 {
@@ -167,7 +166,7 @@ pub(super) fn connected(
     let mut regions = 0;
     let numbered = (0..count as u32)
         .map(|i| {
-            let root = root(&mut parent, i) as usize;
+            let root = sets.root(i) as usize;
             if numbers[root] == NONE {
                 numbers[root] = regions;
                 regions += 1;
@@ -176,14 +175,6 @@ pub(super) fn connected(
         })
         .collect();
     (numbered, regions as usize)
-}
-
-fn root(parent: &mut [u32], mut i: u32) -> u32 {
-    while parent[i as usize] != i {
-        parent[i as usize] = parent[parent[i as usize] as usize];
-        i = parent[i as usize];
-    }
-    i
 }
 
 #[cfg(test)]
