@@ -6,7 +6,7 @@ use glam::Vec2;
 
 use crate::backend::Backend;
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, cross};
 use crate::raster::Raster;
 use crate::scene::Scene;
 use crate::surface::{Hit, SurfacePoint};
@@ -135,9 +135,8 @@ pub(crate) fn bands(width: usize, height: usize, texels: usize) -> impl Iterator
 
 /// Area on the surface, m², of a texel on `triangle` in an atlas of some size; 0 for a triangle without area in it.
 fn texel_area(mesh: &Mesh, [width, height]: [usize; 2], triangle: u32) -> f32 {
-    let [a, b, c] = mesh.corners(triangle);
     let [ua, ub, uc] = mesh.corner_uvs(triangle);
-    let world = (b - a).cross(c - a).length();
+    let world = cross(mesh.corners(triangle)).length();
     let texels = (ub - ua).perp_dot(uc - ua).abs() * (width * height) as f32;
     if texels > 0.0 { world / texels } else { 0.0 }
 }

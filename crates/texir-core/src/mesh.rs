@@ -38,14 +38,12 @@ impl Mesh {
 
     /// Unit geometric normal; zero for a degenerate triangle.
     pub fn face_normal(&self, triangle: u32) -> Vec3 {
-        let [a, b, c] = self.corners(triangle);
-        (b - a).cross(c - a).normalize_or_zero()
+        cross(self.corners(triangle)).normalize_or_zero()
     }
 
     /// Area, m².
     pub fn area(&self, triangle: u32) -> f32 {
-        let [a, b, c] = self.corners(triangle);
-        0.5 * (b - a).cross(c - a).length()
+        0.5 * cross(self.corners(triangle)).length()
     }
 
     /// Mean of the corners.
@@ -56,7 +54,7 @@ impl Mesh {
 
     /// Axis-aligned bounds `(min, max)`.
     pub fn bounds(&self) -> (Vec3, Vec3) {
-        self.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &p| (lo.min(p), hi.max(p)))
+        bounds(self.positions.iter().copied())
     }
 
     /// What is wrong with where the mesh lies: rays start off its surfaces by some hundred steps of single precision
@@ -85,6 +83,16 @@ impl Mesh {
         }
         *self = flat;
     }
+}
+
+/// Twice the area of a triangle, along its normal: towards whoever sees the corners counter-clockwise.
+pub(crate) fn cross([a, b, c]: [Vec3; 3]) -> Vec3 {
+    (b - a).cross(c - a)
+}
+
+/// Axis-aligned bounds `(min, max)` of points; from ∞ to −∞ where there are none.
+pub(crate) fn bounds(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
+    points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)))
 }
 
 #[cfg(test)]

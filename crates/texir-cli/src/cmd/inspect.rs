@@ -303,12 +303,7 @@ fn masked(views: &[View], session: &Session<'_>) -> Result<Option<String>, Failu
 }
 
 fn area(mesh: &Mesh) -> f64 {
-    (0..mesh.triangles.len() as u32)
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t);
-            f64::from((b - a).cross(c - a).length()) / 2.0
-        })
-        .sum()
+    (0..mesh.triangles.len() as u32).map(|t| f64::from(mesh.area(t))).sum()
 }
 
 /// Looks around from a view's position.

@@ -20,7 +20,7 @@ use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
@@ -258,11 +258,7 @@ impl Part {
         if !positions.iter().all(|p| p.is_finite()) || !uvs_finite {
             return Err(Error::file(path, format!("{place} has coordinates that are not finite numbers")));
         }
-        let area = |t: &[u32; 3]| {
-            let [a, b, c] = t.map(|i| positions[i as usize]);
-            (b - a).cross(c - a)
-        };
-        triangles.retain(|t| area(t).length_squared() > 0.0);
+        triangles.retain(|t| cross(t.map(|i| positions[i as usize])).length_squared() > 0.0);
         let normals: Vec<Option<Vec3>> = normals.iter().map(|n| n.and_then(Vec3::try_normalize)).collect();
         let has_uvs = uvs.iter().map(|uvs| uvs.iter().all(Option::is_some)).collect();
         let uvs = uvs.into_iter().map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect()).collect();
@@ -281,8 +277,8 @@ impl Part {
         self.uvs.iter_mut().for_each(|uvs| *uvs = corners.iter().map(|&i| uvs[i as usize]).collect());
         self.triangles = (0..self.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
         let flat = |k: usize| {
-            let [a, b, c] = [0, 1, 2].map(|corner| self.positions[k / 3 * 3 + corner]);
-            normals[corners[k] as usize].unwrap_or((b - a).cross(c - a).normalize_or_zero())
+            let face = [0, 1, 2].map(|corner| self.positions[k / 3 * 3 + corner]);
+            normals[corners[k] as usize].unwrap_or(cross(face).normalize_or_zero())
         };
         let normals = (0..corners.len()).map(flat).collect();
         Self { normals, ..self }

@@ -7,7 +7,7 @@ use super::chart::{Chart, Point};
 use super::paint::Texel;
 use super::{Flat, FlatOptions, Room};
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, cross};
 use crate::raster::{Gray, Labels, Raster, Rgb};
 
 /// Charts start and end at multiples of this many texels, so that the atlas at half resolution, in which indirect light is
@@ -183,9 +183,8 @@ fn append(mesh: &mut Mesh, chart: &Chart, place: &Place, side: usize) {
         for c in (0..columns - 1).filter(|&c| chart.is_solid(c, r)) {
             let at = |c: usize, r: usize| base + (r * columns + c) as u32;
             for corners in [[at(c, r), at(c + 1, r), at(c + 1, r + 1)], [at(c, r), at(c + 1, r + 1), at(c, r + 1)]] {
-                let [a, b, d] = corners.map(|i| mesh.positions[i as usize]);
                 // The poles of a sphere are rows of one point.
-                if (b - a).cross(d - a) != Vec3::ZERO {
+                if cross(corners.map(|i| mesh.positions[i as usize])) != Vec3::ZERO {
                     mesh.triangles.push(corners);
                 }
             }

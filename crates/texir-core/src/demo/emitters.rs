@@ -3,6 +3,7 @@
 use glam::{Vec2, Vec3};
 
 use super::Flat;
+use crate::mesh::bounds;
 
 /// How much likelier a lamp in the room of the lit point is than an equal one elsewhere: light from another room has to
 /// come through a doorway.
@@ -66,21 +67,18 @@ impl Emitters {
     }
 
     fn add(&mut self, flat: &Flat, triangles: Vec<u32>) {
-        let area = |t: u32| {
-            let [a, b, c] = flat.mesh.corners(t);
-            0.5 * (b - a).cross(c - a).length()
-        };
         let look = |t: u32| &flat.charts[flat.chart_of[t as usize] as usize].look;
-        let powers: Vec<f32> = triangles.iter().map(|&t| look(t).paint.emission.element_sum() * area(t)).collect();
+        let powers: Vec<f32> =
+            triangles.iter().map(|&t| look(t).paint.emission.element_sum() * flat.mesh.area(t)).collect();
         let power: f32 = powers.iter().sum();
         let corners = || triangles.iter().flat_map(|&t| flat.mesh.corners(t));
-        let (lo, hi) = corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let (lo, hi) = bounds(corners());
         let centre = 0.5 * (lo + hi);
         let radius = corners().map(|p| p.distance(centre)).fold(0.0, f32::max);
         let mut sum = 0.0;
         let cumulative = powers.iter().map(|p| (sum += p / power, sum).1).collect();
         for (&t, p) in triangles.iter().zip(&powers) {
-            self.owner[t as usize] = Some((self.lamps.len() as u32, p / (power * area(t))));
+            self.owner[t as usize] = Some((self.lamps.len() as u32, p / (power * flat.mesh.area(t))));
         }
         self.lamps.push(Lamp { room: look(triangles[0]).room, power, centre, radius, triangles, cumulative });
     }

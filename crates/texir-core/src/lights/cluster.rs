@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::facing;
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, bounds};
 
 /// Most clusters of a scene. Fewer make a table a worse fit; more cost memory and shadow rays, and leave each too few samples
 /// to spread well (docs/performance.md).
@@ -60,7 +60,6 @@ fn sort_along_longest(mesh: &Mesh, triangles: &mut [u32]) {
 
 /// Edges of the bounding box.
 fn extent(mesh: &Mesh, triangles: &[u32]) -> Vec3 {
-    let (low, high) = (triangles.iter().flat_map(|&t| mesh.corners(t)))
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    let (low, high) = bounds(triangles.iter().flat_map(|&t| mesh.corners(t)));
     high - low
 }

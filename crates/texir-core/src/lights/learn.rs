@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::{LightGrid, Lights, cumulative};
 use crate::cpu::light_sampling::point_on;
 use crate::cpu::trace::Trace;
+use crate::mesh::bounds;
 use crate::real::V3;
 use crate::rng::{hash2, sobol2};
 use crate::scene::Scene;
@@ -62,10 +63,8 @@ pub fn learn(mut lights: Lights, scene: &Scene, points: &[SurfacePoint]) -> Ligh
 /// A grid around the points.
 fn grid(scene: &Scene, points: &[SurfacePoint]) -> LightGrid {
     let area: f32 = (0..scene.mesh.triangles.len() as u32).map(|t| scene.mesh.area(t)).sum();
-    let positions = || points.iter().map(|p| Vec3::from(p.position));
-    let low = positions().fold(Vec3::INFINITY, Vec3::min);
-    let extent = positions().fold(Vec3::NEG_INFINITY, Vec3::max) - low;
-    let size = |edge: f32| (extent / edge).floor() + 1.0;
+    let (low, high) = bounds(points.iter().map(|p| Vec3::from(p.position)));
+    let size = |edge: f32| ((high - low) / edge).floor() + 1.0;
     let cells = CELLS.min(points.len() as f32 / TEXELS);
     let mut edge = (area / cells).sqrt().max(f32::MIN_POSITIVE);
     while !(size(edge).element_product() <= GRID_CELLS) {

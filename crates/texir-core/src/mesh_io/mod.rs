@@ -11,7 +11,7 @@ use glam::{Vec2, Vec3};
 
 pub use self::atlas::{AtlasReport, atlas_report};
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, cross};
 
 /// A mesh as read, and what had to be changed to make it usable.
 #[derive(Clone, Debug)]
@@ -97,10 +97,7 @@ fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
     }
 
     let before = triangles.len();
-    triangles.retain(|t| {
-        let [a, b, c] = t.map(|i| positions[i as usize]);
-        (b - a).cross(c - a).length_squared() > 0.0
-    });
+    triangles.retain(|t| cross(t.map(|i| positions[i as usize])).length_squared() > 0.0);
     if triangles.is_empty() {
         return Err(Error::file(path, format!("all {before} triangles have no area; expected a surface")));
     }

@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::storeys::{LEVEL_BIN, Storey};
 use super::{Grid, HORIZONTAL};
 use crate::error::{Error, Result};
+use crate::mesh::{bounds, cross};
 
 /// Empty cells around the mesh, so that everything has an outside.
 const MARGIN: usize = 3;
@@ -14,10 +15,7 @@ const MAX_CELLS: f64 = 6.4e7;
 /// The grid over triangles given in plan coordinates, with a margin. Errors without a finite triangle, and on more cells than
 /// [`MAX_CELLS`].
 pub(super) fn grid_over(triangles: impl Iterator<Item = [Vec3; 3]>, cell: f32) -> Result<Grid> {
-    let (lo, hi) = triangles
-        .flatten()
-        .filter(|p| p.is_finite())
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+    let (lo, hi) = bounds(triangles.flatten().filter(|p| p.is_finite()));
     if lo.x > hi.x {
         return Err(Error::invalid("the mesh has no triangle with finite corners: no floor plan can be made"));
     }
@@ -84,7 +82,7 @@ impl Columns {
 
     /// Adds one triangle to every column it passes through.
     fn add(&mut self, triangle: [Vec3; 3]) {
-        let normal = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
+        let normal = cross(triangle);
         let horizontal = normal.z.abs() > HORIZONTAL * normal.length();
         if !triangle.iter().all(|p| p.is_finite()) {
             return;

@@ -8,6 +8,7 @@ use std::ops::Range;
 use glam::Vec3;
 
 use super::{HEAD_ROOM, HORIZONTAL};
+use crate::mesh::cross;
 
 /// Height of a bin when floors and ceilings are looked for, metres.
 pub(super) const LEVEL_BIN: f32 = 0.02;
@@ -73,13 +74,13 @@ impl Levels {
         let none = Areas(vec![0.0; ((hi - lo) / LEVEL_BIN).clamp(0.0, MAX_BINS) as usize + 1]);
         let mut levels = Self { lo, up: none.clone(), down: none.clone(), any: none };
         for corners in triangles {
-            let [a, b, c] = corners;
-            let normal = (b - a).cross(c - a);
+            let normal = cross(corners);
             if !(normal.is_finite() && normal.z.abs() > HORIZONTAL * normal.length()) {
                 continue;
             }
             // A sloped ceiling is spread over its heights.
-            let (from, to) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
+            let [a, b, c] = corners.map(|p| p.z);
+            let (from, to) = (a.min(b).min(c), a.max(b).max(c));
             let bins = levels.bin(from)..levels.bin(to) + 1;
             let share = normal.length() / 2.0 / bins.len() as f32;
             let side = if normal.z > 0.0 { &mut levels.up } else { &mut levels.down };
