@@ -5,12 +5,12 @@
 //! behind, and baby_shark panics over surfaces with borders (docs/performance.md).
 
 use std::cmp::Ordering;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::BinaryHeap;
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, weld};
 use crate::progress::Progress;
 
 /// How far a vertex may come to lie from the planes of the triangles that it stands for (root mean square), metres: less than a
@@ -181,16 +181,8 @@ struct Surface {
 impl Surface {
     /// The mesh with its vertices welded, and all its edges.
     fn new(mesh: &Mesh) -> (Self, BinaryHeap<Candidate>) {
-        let mut places: HashMap<[u32; 3], u32> = HashMap::new();
-        let mut positions = Vec::new();
-        let mut weld = |p: &Vec3| {
-            // −0 is 0.
-            *places.entry((*p + 0.0).to_array().map(f32::to_bits)).or_insert_with(|| {
-                positions.push(p.as_dvec3());
-                positions.len() as u32 - 1
-            })
-        };
-        let welded: Vec<u32> = mesh.positions.iter().map(&mut weld).collect();
+        let (welded, firsts) = weld(mesh.positions.iter().map(|p| bits(*p)));
+        let positions: Vec<DVec3> = firsts.iter().map(|&i| mesh.positions[i as usize].as_dvec3()).collect();
         let corners = mesh.triangles.iter().map(|t| t.map(|i| welded[i as usize]));
         let triangles: Vec<_> = corners.filter(|[a, b, c]| a != b && b != c && c != a).collect();
 
@@ -329,6 +321,11 @@ impl Surface {
     }
 }
 
+/// A place, exactly; −0 is 0.
+fn bits(place: Vec3) -> [u32; 3] {
+    (place + 0.0).to_array().map(f32::to_bits)
+}
+
 /// Twice the area of a triangle along its normal.
 fn cross([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
@@ -387,7 +384,7 @@ mod tests {
 
     /// Edges that are not in exactly two triangles, one in either direction. Vertices count by place.
     fn open_edges(mesh: &Mesh) -> usize {
-        let place = |i: u32| (mesh.positions[i as usize] + 0.0).to_array().map(f32::to_bits);
+        let place = |i: u32| bits(mesh.positions[i as usize]);
         let edges = mesh.triangles.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]);
         let all: Vec<_> = edges.map(|(a, b)| (place(a), place(b))).collect();
         let directed: HashSet<_> = all.iter().copied().collect();

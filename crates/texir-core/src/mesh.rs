@@ -1,5 +1,8 @@
 //! The triangle mesh of the whole scene with its one texture atlas.
 
+use std::collections::HashMap;
+use std::hash::Hash;
+
 use glam::{Vec2, Vec3};
 
 use crate::surface::offset_origin;
@@ -95,9 +98,29 @@ pub(crate) fn bounds(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
     points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)))
 }
 
+/// Numbers vertices from 0 in the order in which their `keys` first appear, those with one key alike: the number of every
+/// vertex, and of every number the first vertex that has it. Keys say which places are one.
+pub(crate) fn weld<K: Eq + Hash>(keys: impl Iterator<Item = K>) -> (Vec<u32>, Vec<u32>) {
+    let mut numbers: HashMap<K, u32> = HashMap::new();
+    let mut firsts = Vec::new();
+    let number = |(vertex, key)| {
+        *numbers.entry(key).or_insert_with(|| {
+            firsts.push(vertex);
+            firsts.len() as u32 - 1
+        })
+    };
+    ((0..).zip(keys).map(number).collect(), firsts)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn vertices_of_one_key_are_one() {
+        assert_eq!(weld(["b", "a", "b", "c", "a"].iter()), (vec![0, 1, 0, 2, 1], vec![0, 1, 3]));
+        assert_eq!(weld([0; 0].iter()), (vec![], vec![]));
+    }
 
     #[test]
     fn meshes_are_misplaced_where_single_precision_is_coarse_beside_them() {

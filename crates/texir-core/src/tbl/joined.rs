@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, weld};
 use crate::stats::median;
 
 /// Cells that an edge is found in, at most.
@@ -30,13 +30,7 @@ pub(super) struct Joined {
 impl Joined {
     /// Of all triangles.
     pub fn new(mesh: &Mesh) -> Self {
-        let mut welded: HashMap<IVec3, u32> = HashMap::new();
-        let vertex: Vec<u32> = mesh
-            .positions
-            .iter()
-            .enumerate()
-            .map(|(i, p)| *welded.entry((p / WELD).round().as_ivec3()).or_insert(i as u32))
-            .collect();
+        let (vertex, _) = weld(mesh.positions.iter().map(|p| (p / WELD).round().as_ivec3()));
         let mut open: HashMap<(u32, u32), (u32, usize)> = HashMap::new();
         let mut across = vec![[None; 3]; mesh.triangles.len()];
         for (triangle, corners) in (0..).zip(&mesh.triangles) {
