@@ -17,7 +17,7 @@ pub fn write_atomic<E: Display>(
     write: impl FnOnce(&mut Sink) -> std::result::Result<(), E>,
 ) -> Result<()> {
     let path = path.as_ref();
-    let failed = |what: &dyn Display| Error::file(path, format!("cannot be written: {what}"));
+    let failed = |what: &dyn Display| Error::cannot_write(path, what);
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

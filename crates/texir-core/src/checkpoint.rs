@@ -106,7 +106,7 @@ impl Checkpoints {
     /// Keeps a step, in place of what is known of it.
     pub fn keep(&self, step: &str, arrays: &[(&str, Array<'_>)]) -> Result<()> {
         let Some(file) = self.file(step) else { return Ok(()) };
-        let failed = |e| Error::file(&file, format!("cannot be written: {e}"));
+        let failed = |e| Error::cannot_write(&file, e);
         let mut views = BTreeMap::new();
         for (name, array) in arrays {
             let view = TensorView::new(array.scalar, array.shape.clone(), array.bytes);

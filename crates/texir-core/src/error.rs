@@ -31,6 +31,16 @@ impl Error {
         Self::File { path: path.as_ref().to_owned(), what: what.to_string() }
     }
 
+    /// A file could not be read, for a reason that its reader gives.
+    pub(crate) fn cannot_read(path: impl AsRef<Path>, reason: impl std::fmt::Display) -> Self {
+        Self::file(path, format!("cannot be read: {reason}"))
+    }
+
+    /// A file could not be written, for a reason that its writer gives.
+    pub(crate) fn cannot_write(path: impl AsRef<Path>, reason: impl std::fmt::Display) -> Self {
+        Self::file(path, format!("cannot be written: {reason}"))
+    }
+
     /// An error about input that is not one file.
     pub fn invalid(what: impl std::fmt::Display) -> Self {
         Self::Invalid(what.to_string())

@@ -172,7 +172,7 @@ impl Builder {
             extensions: None,
             extras: None,
         });
-        let json = self.root.to_vec().map_err(|e| Error::file(path, format!("cannot be written: {e}")))?;
+        let json = self.root.to_vec().map_err(|e| Error::cannot_write(path, e))?;
         // GLB lengths have 32 bits; the headers and the padding are far below a kilobyte.
         if u32::try_from(json.len() + self.bytes.len() + 1024).is_err() {
             return Err(Error::file(

@@ -215,7 +215,7 @@ impl Staging {
     /// Moves the files to the target. Files of the layout that an earlier run left there and this one did not make are
     /// removed: they describe another result.
     pub fn commit(self) -> Result<()> {
-        let failed = |path: &Path, e| Error::file(path, format!("cannot be written: {e}"));
+        let failed = |path: &Path, e| Error::cannot_write(path, e);
         fs::create_dir_all(&self.target).map_err(|e| failed(&self.target, e))?;
         for name in FILES {
             let (from, to) = (self.folder().join(name), self.target.join(name));

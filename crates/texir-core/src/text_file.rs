@@ -10,7 +10,7 @@ pub(crate) const BYTE_ORDER_MARK: &str = "\u{feff}";
 /// A text, without a byte order mark.
 pub fn read_text(path: impl AsRef<Path>) -> Result<String> {
     let path = path.as_ref();
-    let mut text = std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+    let mut text = std::fs::read_to_string(path).map_err(|e| Error::cannot_read(path, e))?;
     if text.starts_with(BYTE_ORDER_MARK) {
         text.drain(..BYTE_ORDER_MARK.len());
     }

@@ -188,7 +188,7 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
     bytemuck::cast_slice::<_, u8>(&capture.mesh.uvs).hash(&mut hasher);
     capture.mesh.triangles.hash(&mut hasher);
     let mut known = |file: &PathBuf| -> Result<()> {
-        let known = file.metadata().map_err(|e| Error::file(file, format!("cannot be read: {e}")))?;
+        let known = file.metadata().map_err(|e| Error::cannot_read(file, e))?;
         (known.len(), known.modified().ok()).hash(&mut hasher);
         Ok(())
     };

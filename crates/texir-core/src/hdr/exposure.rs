@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 /// error: a guess would show as wrong light.
 pub fn read_exposure(path: impl AsRef<Path>) -> Result<f64> {
     let path = path.as_ref();
-    let file = File::open(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+    let file = File::open(path).map_err(|e| Error::cannot_read(path, e))?;
     let exif = Reader::new().read_from_container(&mut BufReader::new(file)).map_err(|e| {
         let what = format!(
             "has no readable EXIF ({e}); expected ExposureTime, FNumber and PhotographicSensitivity (ISO): {}",

@@ -13,14 +13,14 @@ use exr::prelude::{Encoding, FlatImage, FlatSamples, LayerAttributes, MetaData, 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Rows, bytes_of, cannot_read, check_size, most_memory, primaries};
+use super::{Rows, bytes_of, check_size, most_memory, primaries};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
 
 /// Size of the display window, from the header.
 pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
-    let meta = MetaData::read_from_file(path, false).map_err(|e| cannot_read(path, e))?;
+    let meta = MetaData::read_from_file(path, false).map_err(|e| Error::cannot_read(path, e))?;
     for header in &meta.headers {
         check_size(path, header.layer_size.width(), header.layer_size.height())?;
         check_block(path, header)?;
@@ -121,7 +121,7 @@ fn read_channels<const N: usize>(
         .all_layers()
         .all_attributes()
         .from_file(path)
-        .map_err(|e| cannot_read(path, e))?;
+        .map_err(|e| Error::cannot_read(path, e))?;
     let mut found = Vec::new();
     for layer in &image.layer_data {
         let channels = &layer.channel_data.list;

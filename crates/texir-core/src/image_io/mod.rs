@@ -49,8 +49,8 @@ enum Format {
 
 fn format_of(path: &Path) -> Result<Format> {
     let mut start = Vec::with_capacity(16);
-    let file = File::open(path).map_err(|e| cannot_read(path, e))?;
-    file.take(16).read_to_end(&mut start).map_err(|e| cannot_read(path, e))?;
+    let file = File::open(path).map_err(|e| Error::cannot_read(path, e))?;
+    file.take(16).read_to_end(&mut start).map_err(|e| Error::cannot_read(path, e))?;
     Ok(match start.as_slice() {
         [0x76, 0x2f, 0x31, 0x01, ..] => Format::OpenExr,
         [b'#', b'?', ..] => Format::RadianceHdr,
@@ -66,12 +66,8 @@ fn format_of(path: &Path) -> Result<Format> {
     })
 }
 
-fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
-    Error::file(path, format!("cannot be read: {e}"))
-}
-
 fn bytes_of(path: &Path) -> Result<u64> {
-    Ok(std::fs::metadata(path).map_err(|e| cannot_read(path, e))?.len())
+    Ok(std::fs::metadata(path).map_err(|e| Error::cannot_read(path, e))?.len())
 }
 
 /// An image of this size, read from `path`, fits the limits.
@@ -102,8 +98,8 @@ pub(crate) fn limits(bytes: u64) -> Limits {
 
 /// The general decoder, for all formats but OpenEXR.
 fn reader(path: &Path, format: Format) -> Result<ImageReader<BufReader<File>>> {
-    let file = File::open(path).map_err(|e| cannot_read(path, e))?;
-    let bytes = file.metadata().map_err(|e| cannot_read(path, e))?.len();
+    let file = File::open(path).map_err(|e| Error::cannot_read(path, e))?;
+    let bytes = file.metadata().map_err(|e| Error::cannot_read(path, e))?.len();
     let format = match format {
         Format::RadianceHdr => ImageFormat::Hdr,
         Format::Tiff => ImageFormat::Tiff,
@@ -122,7 +118,7 @@ pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
     let (width, height) = match format_of(path)? {
         Format::OpenExr => exr::size(path)?,
         format => {
-            let (width, height) = reader(path, format)?.into_dimensions().map_err(|e| cannot_read(path, e))?;
+            let (width, height) = reader(path, format)?.into_dimensions().map_err(|e| Error::cannot_read(path, e))?;
             (width as usize, height as usize)
         }
     };
@@ -202,7 +198,7 @@ pub fn read_colors(path: impl AsRef<Path>) -> Result<Option<Raster<[u8; 3]>>> {
     if format_of(path)? != Format::Png || !png::is_colored(path)? {
         return Ok(None);
     }
-    let decoded = reader(path, Format::Png)?.decode().map_err(|e| cannot_read(path, e))?;
+    let decoded = reader(path, Format::Png)?.decode().map_err(|e| Error::cannot_read(path, e))?;
     let rgb = decoded.into_rgb8();
     let (width, height) = (rgb.width() as usize, rgb.height() as usize);
     Raster::new(width, height, rgb.pixels().map(|p| p.0).collect()).map(Some)
@@ -214,7 +210,7 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
     read_size(path)?;
     match format_of(path)? {
         Format::Png => {
-            let decoded = reader(path, Format::Png)?.decode().map_err(|e| cannot_read(path, e))?;
+            let decoded = reader(path, Format::Png)?.decode().map_err(|e| Error::cannot_read(path, e))?;
             let rgb = decoded.into_rgb16();
             let (width, height) = (rgb.width() as usize, rgb.height() as usize);
             Raster::new(width, height, rgb.pixels().map(|p| p.0 != [0; 3]).collect())
@@ -225,20 +221,20 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
 }
 
 fn read_radiance_hdr(path: &Path) -> Result<Rgb> {
-    let file = BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?);
-    let decoder = image::codecs::hdr::HdrDecoder::new(file).map_err(|e| cannot_read(path, e))?;
+    let file = BufReader::new(File::open(path).map_err(|e| Error::cannot_read(path, e))?);
+    let decoder = image::codecs::hdr::HdrDecoder::new(file).map_err(|e| Error::cannot_read(path, e))?;
     let exposure = decoder.metadata().exposure.unwrap_or(1.0);
     if !(exposure > 0.0 && exposure.is_finite()) {
         return Err(Error::file(path, format!("EXPOSURE is {exposure}; expected a positive number")));
     }
     let (width, height) = decoder.dimensions();
-    let decoded = DynamicImage::from_decoder(decoder).map_err(|e| cannot_read(path, e))?;
+    let decoded = DynamicImage::from_decoder(decoder).map_err(|e| Error::cannot_read(path, e))?;
     let data = decoded.into_rgb32f().pixels().map(|p| p.0.map(|v| v / exposure)).collect();
     Raster::new(width as usize, height as usize, data)
 }
 
 fn read_float_tiff(path: &Path) -> Result<Rgb> {
-    let decoded = reader(path, Format::Tiff)?.decode().map_err(|e| cannot_read(path, e))?;
+    let decoded = reader(path, Format::Tiff)?.decode().map_err(|e| Error::cannot_read(path, e))?;
     if !matches!(decoded, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
         return Err(Error::file(
             path,

@@ -8,23 +8,22 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use png::{BitDepth, ColorType, Decoder, Transformations};
 
-use super::cannot_read;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Labels, Mask, Raster};
 
 /// Whether a PNG holds colours, its pixels' own or a palette's, rather than grey levels.
 pub(super) fn is_colored(path: &Path) -> Result<bool> {
-    let file = File::open(path).map_err(|e| cannot_read(path, e))?;
-    let reader = Decoder::new(BufReader::new(file)).read_info().map_err(|e| cannot_read(path, e))?;
+    let file = File::open(path).map_err(|e| Error::cannot_read(path, e))?;
+    let reader = Decoder::new(BufReader::new(file)).read_info().map_err(|e| Error::cannot_read(path, e))?;
     Ok(!matches!(reader.info().color_type, ColorType::Grayscale | ColorType::GrayscaleAlpha))
 }
 
 /// Grey levels or palette indices as they are stored (the general decoder would replace an index by its colour).
 pub(super) fn read_indices(path: &Path) -> Result<Labels> {
-    let mut decoder = Decoder::new(BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?));
+    let mut decoder = Decoder::new(BufReader::new(File::open(path).map_err(|e| Error::cannot_read(path, e))?));
     decoder.set_transformations(Transformations::IDENTITY);
-    let mut reader = decoder.read_info().map_err(|e| cannot_read(path, e))?;
+    let mut reader = decoder.read_info().map_err(|e| Error::cannot_read(path, e))?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let (colour, depth) = reader.output_color_type();
     if !matches!(colour, ColorType::Grayscale | ColorType::Indexed) {
@@ -34,9 +33,9 @@ pub(super) fn read_indices(path: &Path) -> Result<Labels> {
         );
         return Err(Error::file(path, what));
     }
-    let bytes = reader.output_buffer_size().ok_or_else(|| cannot_read(path, "too large"))?;
+    let bytes = reader.output_buffer_size().ok_or_else(|| Error::cannot_read(path, "too large"))?;
     let mut packed = vec![0; bytes];
-    let frame = reader.next_frame(&mut packed).map_err(|e| cannot_read(path, e))?;
+    let frame = reader.next_frame(&mut packed).map_err(|e| Error::cannot_read(path, e))?;
     let bits = match depth {
         BitDepth::One => 1,
         BitDepth::Two => 2,

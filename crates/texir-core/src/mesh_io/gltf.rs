@@ -12,7 +12,7 @@ use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic};
 use gltf_json::extensions::ENABLED_EXTENSIONS;
 use gltf_json::validation::Checked;
 
-use super::{RawMesh, cannot_read};
+use super::RawMesh;
 use crate::error::{Error, Result};
 use crate::text_file::BYTE_ORDER_MARK;
 
@@ -21,14 +21,15 @@ const GLB_HEADER_BYTES: u32 = 12;
 
 /// A glTF or GLB without its buffers.
 pub(crate) fn open(path: &Path) -> Result<Gltf> {
-    let bytes = std::fs::read(path).map_err(|e| cannot_read(path, e))?;
+    let bytes = std::fs::read(path).map_err(|e| Error::cannot_read(path, e))?;
     if let [b'g', b'l', b'T', b'F', _, _, _, _, a, b, c, d, ..] = bytes[..]
         && u32::from_le_bytes([a, b, c, d]) < GLB_HEADER_BYTES
     {
         return Err(Error::file(path, "says that it is shorter than a GLB's header; is it damaged?"));
     }
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK.as_bytes()).unwrap_or(&bytes);
-    let Gltf { document, blob } = Gltf::from_slice_without_validation(bytes).map_err(|e| cannot_read(path, e))?;
+    let Gltf { document, blob } =
+        Gltf::from_slice_without_validation(bytes).map_err(|e| Error::cannot_read(path, e))?;
     let root = document.into_json();
     // The validation takes this much for granted.
     let position = Checked::Valid(Semantic::Positions);
@@ -48,7 +49,7 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     if let Some(index) = root.images.iter().position(|image| !whole(image)) {
         return Err(Error::file(path, format!("image {index} has no uri, nor a bufferView with its mimeType")));
     }
-    let document = Document::from_json(root).map_err(|e| cannot_read(path, e))?;
+    let document = Document::from_json(root).map_err(|e| Error::cannot_read(path, e))?;
     Ok(Gltf { document, blob })
 }
 
@@ -87,7 +88,7 @@ pub(crate) struct Contents {
 /// Reads a file and the buffers that it refers to.
 pub(crate) fn load(path: &Path) -> Result<Contents> {
     let Gltf { document, blob } = open(path)?;
-    let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| cannot_read(path, e))?;
+    let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| Error::cannot_read(path, e))?;
     Ok(Contents { document, buffers })
 }
 

@@ -76,10 +76,6 @@ pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
     Ok((file, unplaced))
 }
 
-fn cannot_read(path: &Path, e: impl std::fmt::Display) -> Error {
-    Error::file(path, format!("cannot be read: {e}"))
-}
-
 /// The mesh, and how many of its triangles have no place in the atlas.
 fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
     let RawMesh { positions, mut normals, mut uvs, mut triangles, mut warnings } = raw;

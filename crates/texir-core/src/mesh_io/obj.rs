@@ -10,7 +10,7 @@ use glam::{Vec2, Vec3};
 use tobj::{LoadError, LoadOptions};
 
 use self::lines::Lines;
-use super::{RawMesh, cannot_read};
+use super::RawMesh;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
@@ -18,7 +18,7 @@ use crate::mesh::Mesh;
 /// All objects and material groups as one mesh; one vertex per distinct (position, uv, normal) triple of a group. Neighbouring
 /// faces that have the same of these make a group.
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
-    let mut lines = Lines::new(BufReader::new(File::open(path).map_err(|e| cannot_read(path, e))?));
+    let mut lines = Lines::new(BufReader::new(File::open(path).map_err(|e| Error::cannot_read(path, e))?));
     let options = LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
     // Materials are what texir recovers: the library that the file names is not looked for.
     let read = tobj::load_obj_buf(&mut lines, &options, |_| Ok(Default::default()));

@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3};
 use serde::Deserialize;
 use serde_ply::PlyReader;
 
-use super::{RawMesh, cannot_read};
+use super::RawMesh;
 use crate::error::{Error, Result};
 
 #[derive(Deserialize)]
@@ -39,10 +39,10 @@ struct Face {
 struct Other {}
 
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
-    let file = File::open(path).map_err(|e| cannot_read(path, e))?;
+    let file = File::open(path).map_err(|e| Error::cannot_read(path, e))?;
     // The parser wants white space after every ASCII number, also after the last of a file without a final newline.
     let mut reader =
-        PlyReader::from_reader(BufReader::new(file).chain(&b"\n"[..])).map_err(|e| cannot_read(path, e))?;
+        PlyReader::from_reader(BufReader::new(file).chain(&b"\n"[..])).map_err(|e| Error::cannot_read(path, e))?;
     let (mut vertices, mut faces) = (Vec::<Vertex>::new(), Vec::<Face>::new());
     while let Some(element) = reader.current_element() {
         let name = element.name.clone();

@@ -267,7 +267,7 @@ impl Job<'_> {
         if self.options.link {
             return link(from, to);
         }
-        let mut source = std::fs::File::open(from).map_err(|e| Error::file(from, format!("cannot be read: {e}")))?;
+        let mut source = std::fs::File::open(from).map_err(|e| Error::cannot_read(from, e))?;
         write_atomic(to, |sink| std::io::copy(&mut source, sink).map(drop))
     }
 }

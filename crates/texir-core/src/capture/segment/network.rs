@@ -38,7 +38,7 @@ pub(super) struct Network {
 impl Network {
     /// Reads a model, and runs it once: what is wrong with it shows before any long work.
     pub(super) fn open(path: &Path, classes: usize) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+        let bytes = std::fs::read(path).map_err(|e| Error::cannot_read(path, e))?;
         let graph = attempt(path, "is no ONNX model that can be read", || read(path, &bytes))?;
         let input = input_size(path, &graph)?;
         let network = Self { path: path.to_owned(), graph, input, classes, plans: Mutex::default() };

@@ -67,7 +67,7 @@ impl<'a> Rest<'a> {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))
+    std::fs::read(path).map_err(|e| Error::cannot_read(path, e))
 }
 
 pub(super) fn cameras(path: &Path) -> Result<Vec<Sensor>> {
