@@ -18,10 +18,7 @@ pub fn write_atomic<E: Display>(
 ) -> Result<()> {
     let path = path.as_ref();
     let failed = |what: &dyn Display| Error::cannot_write(path, what);
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let folder = folder_of(path);
     std::fs::create_dir_all(folder).map_err(|e| failed(&e))?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(".texir-").suffix(".part");
@@ -35,6 +32,14 @@ pub fn write_atomic<E: Display>(
     drop(sink);
     temporary.persist(path).map_err(|e| failed(&e.error))?;
     Ok(())
+}
+
+/// The folder that a file or folder lies in.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
-use crate::atomic_file::write_atomic;
+use crate::atomic_file::{folder_of, write_atomic};
 use crate::brdf::Masking;
 use crate::capture::Tbl;
 use crate::diffuse::DiffuseModel;
@@ -191,10 +191,7 @@ impl Staging {
             return Err(Error::file(target, "is a file; expected a folder for the outputs, or a name for a new one"));
         }
         let failed = |e| Error::file(target, format!("cannot be written beside: {e}"));
-        let beside = match target.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
+        let beside = folder_of(target);
         fs::create_dir_all(beside).map_err(failed)?;
         let folder = tempfile::Builder::new().prefix(".texir-").tempdir_in(beside).map_err(failed)?;
         Ok(Self { folder, target: target.to_owned() })
