@@ -337,7 +337,7 @@ mod tests {
 
     use super::*;
     use crate::cpu::trace::{Trace, TraceHit};
-    use crate::progress::Silent;
+    use crate::progress::{Impatient, Silent};
     use crate::real::V3;
     use crate::rng::hash;
     use crate::scene::Scene;
@@ -491,23 +491,10 @@ mod tests {
         }
     }
 
-    /// Wants to stop as soon as it is asked.
-    struct Impatient;
-
-    impl Progress for Impatient {
-        fn start(&self, _: &str, _: u64, _: &str) {}
-        fn advance(&self, _: u64) {}
-        fn finish(&self) {}
-        fn warn(&self, _: &str) {}
-        fn cancelled(&self) -> bool {
-            true
-        }
-    }
-
     #[test]
     fn decimating_can_be_stopped() {
         let mut wall = Mesh::default();
         patch(&mut wall, 100, |x, y| Vec3::new(x, y, 0.0));
-        assert!(matches!(decimate(&wall, 1000, &Impatient), Err(Error::Cancelled)));
+        assert!(matches!(decimate(&wall, 1000, &Impatient::after(0)), Err(Error::Cancelled)));
     }
 }

@@ -1,5 +1,8 @@
 //! Progress and cancellation of long work: the library reports, the host program shows and stops.
 
+#[cfg(test)]
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use crate::error::{Error, Result};
 
 /// Receives progress of long work and answers whether to go on. All methods may be called from any thread.
@@ -57,5 +60,31 @@ impl Progress for Named<'_> {
     }
     fn cancelled(&self) -> bool {
         self.progress.cancelled()
+    }
+}
+
+/// Wants to stop once it was asked some times whether to go on.
+#[cfg(test)]
+pub(crate) struct Impatient {
+    patience: usize,
+    asked: AtomicUsize,
+}
+
+#[cfg(test)]
+impl Impatient {
+    /// Says `times` that work may go on.
+    pub fn after(times: usize) -> Self {
+        Self { patience: times, asked: AtomicUsize::new(0) }
+    }
+}
+
+#[cfg(test)]
+impl Progress for Impatient {
+    fn start(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, _: &str) {}
+    fn cancelled(&self) -> bool {
+        self.asked.fetch_add(1, Ordering::Relaxed) >= self.patience
     }
 }

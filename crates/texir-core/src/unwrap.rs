@@ -107,11 +107,9 @@ pub fn unwrap_mesh(mesh: &Mesh, progress: &dyn Progress) -> Result<UnwrappedMesh
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::AtomicUsize;
-
     use super::*;
     use crate::mesh_io::atlas_report;
-    use crate::progress::Silent;
+    use crate::progress::{Impatient, Silent};
 
     /// A box of six faces of two triangles each, all of which have the same texture coordinates.
     fn box_without_atlas() -> Mesh {
@@ -162,22 +160,9 @@ mod tests {
         }
     }
 
-    /// Stops after some questions.
-    struct Impatient(AtomicUsize);
-
-    impl Progress for Impatient {
-        fn start(&self, _: &str, _: u64, _: &str) {}
-        fn advance(&self, _: u64) {}
-        fn finish(&self) {}
-        fn warn(&self, _: &str) {}
-        fn cancelled(&self) -> bool {
-            self.0.fetch_add(1, Ordering::Relaxed) > 1
-        }
-    }
-
     #[test]
     fn unwrapping_can_be_stopped() {
-        let stopped = unwrap_mesh(&box_without_atlas(), &Impatient(AtomicUsize::new(0)));
+        let stopped = unwrap_mesh(&box_without_atlas(), &Impatient::after(2));
         assert!(matches!(stopped, Err(Error::Cancelled)));
     }
 }

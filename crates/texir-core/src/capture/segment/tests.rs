@@ -16,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::image_io::{srgb_from_linear, write_rgb};
 use crate::mesh::Mesh;
 use crate::mesh_io::obj;
-use crate::progress::{Progress, Silent};
+use crate::progress::{Impatient, Silent};
 use crate::raster::{Labels, Raster, Rgb, luminance};
 
 /// What the classes look like, before all are made equally bright.
@@ -229,20 +229,10 @@ fn an_import_brings_ids_and_the_list_of_classes() {
 
 #[test]
 fn whoever_asks_to_stop_is_obeyed() {
-    struct Stop;
-    impl Progress for Stop {
-        fn start(&self, _: &str, _: u64, _: &str) {}
-        fn advance(&self, _: u64) {}
-        fn finish(&self) {}
-        fn warn(&self, _: &str) {}
-        fn cancelled(&self) -> bool {
-            true
-        }
-    }
     let room = Room::new();
     let segmenter = room.open(&model(&FIXED, Head::Scores)).unwrap();
     let mut views = [room.view(pinhole(), paint)];
-    let result = segmenter.label(&mut views, room.0.path(), &Stop);
+    let result = segmenter.label(&mut views, room.0.path(), &Impatient::after(0));
     assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
 }
 
