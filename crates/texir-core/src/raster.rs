@@ -123,6 +123,11 @@ pub(crate) fn mean_of_channels(rgb: impl Into<[f32; 3]>) -> f32 {
     rgb.into().iter().sum::<f32>() / 3.0
 }
 
+/// Mean of pixels, channel by channel.
+pub(crate) fn mean_pixel(pixels: &[[f32; 3]]) -> [f32; 3] {
+    std::array::from_fn(|c| pixels.iter().map(|pixel| pixel[c]).sum::<f32>() / pixels.len() as f32)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

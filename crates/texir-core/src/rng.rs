@@ -51,7 +51,8 @@ pub fn sobol2(index: u32, seed: u32) -> [f32; 2] {
     [to_unit(x), to_unit(y)]
 }
 
-fn to_unit(x: u32) -> f32 {
+/// The upper 24 bits as a number in [0, 1).
+pub(crate) fn to_unit(x: u32) -> f32 {
     (x >> 8) as f32 / 16_777_216.0
 }
 

@@ -8,7 +8,7 @@ use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::image_io::{self, read_gray, read_labels, read_mask, read_rgb, sanitise_radiance};
 use crate::progress::Progress;
-use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
+use crate::raster::{Gray, Labels, Mask, Raster, Rgb, mean_pixel};
 
 impl View {
     /// A view of which nothing but the image is known.
@@ -60,7 +60,7 @@ impl View {
         if self.blur > 0.0 {
             sharpen(&mut image, self.blur, self.camera.projection == Projection::Equirectangular);
         }
-        let mut image = self.sized(&self.image, image, mean)?;
+        let mut image = self.sized(&self.image, image, mean_pixel)?;
         for radiance in &mut image.data {
             let known = radiance.iter().all(|v| v.is_finite());
             *radiance = std::array::from_fn(|c| if known { radiance[c] * self.scale[c] } else { unknown });
@@ -103,7 +103,7 @@ impl View {
 
     /// Ground-truth albedo, linear.
     pub fn load_albedo(&self) -> Result<Option<Rgb>> {
-        self.load(self.albedo.as_deref(), read_rgb, mean)
+        self.load(self.albedo.as_deref(), read_rgb, mean_pixel)
     }
 
     /// Ground-truth perceptual roughness.
@@ -170,10 +170,6 @@ impl View {
             ),
         ))
     }
-}
-
-fn mean(pixels: &[[f32; 3]]) -> [f32; 3] {
-    std::array::from_fn(|c| pixels.iter().map(|pixel| pixel[c]).sum::<f32>() / pixels.len() as f32)
 }
 
 /// The label that most pixels have; the lowest of several.

@@ -16,7 +16,7 @@ use super::random::{Sample, stream};
 use super::trace::{Vertex, World, around, bilinear, lobe, sample_lobe};
 use crate::error::Result;
 use crate::progress::Progress;
-use crate::raster::{Raster, Rgb};
+use crate::raster::{Raster, Rgb, mean_pixel};
 use crate::surface::offset_origin;
 
 /// Texels of the atlas per texel of the indirect solution, along one axis.
@@ -245,13 +245,7 @@ fn blurred(map: &Raster<Option<Vec3>>, i: usize) -> Option<Vec3> {
     Some(sum / weights)
 }
 
-/// Means of 2×2 texels.
+/// Means of squares of [`SHRINK`] × [`SHRINK`] texels.
 fn halved(map: &Rgb) -> Rgb {
-    let (width, height) = (map.width / SHRINK, map.height / SHRINK);
-    let mean = |i: usize| {
-        let (x, y) = (i % width * SHRINK, i / width * SHRINK);
-        let sum: Vec3 = (0..SHRINK * SHRINK).map(|k| Vec3::from(*map.at(x + k % SHRINK, y + k / SHRINK))).sum();
-        (sum / (SHRINK * SHRINK) as f32).to_array()
-    };
-    Raster { width, height, data: (0..width * height).map(mean).collect() }
+    map.clone().reduced(SHRINK, mean_pixel)
 }

@@ -1,6 +1,6 @@
 //! Streams of random numbers over [`crate::rng`]: independent ones to lay out the flat, stratified ones to trace it.
 
-use crate::rng::{hash2, sobol2};
+use crate::rng::{hash2, sobol2, to_unit};
 
 /// Independent numbers of a seed, for laying out and painting.
 #[derive(Clone, Debug)]
@@ -76,8 +76,4 @@ pub(super) fn lattice(x: i32, y: i32, seed: u32) -> f32 {
 
 fn fold(seed: u64) -> u32 {
     hash2(seed as u32, (seed >> 32) as u32)
-}
-
-fn to_unit(x: u32) -> f32 {
-    (x >> 8) as f32 / 16_777_216.0
 }

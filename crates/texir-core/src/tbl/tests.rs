@@ -7,7 +7,7 @@ use crate::camera::Projection;
 use crate::cpu::CpuBackend;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
-use crate::raster::{Mask, Rgb, mean_of_channels};
+use crate::raster::{Mask, Rgb, mean_of_channels, mean_pixel};
 
 const SIZE: (usize, usize) = (384, 256);
 const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
@@ -674,9 +674,8 @@ fn blur_is_told_from_reflections_and_exposure() {
         let gloss = if to_camera.z > 0.8 && p.z < 0.01 { 1.5 } else { 1.0 };
         pattern(p * 4.0).map(|l| gloss * l)
     };
-    let mean = |pixels: &[[f32; 3]]| [0, 1, 2].map(|c| pixels.iter().map(|p| p[c]).sum::<f32>() / pixels.len() as f32);
     let photo = |(i, camera): (usize, &Camera)| {
-        let image = photograph(&scene, &camera.supersampled(4), fine).reduced(4, mean);
+        let image = photograph(&scene, &camera.supersampled(4), fine).reduced(4, mean_pixel);
         image.map(|l| l.map(|l| l * (1.0 + 0.1 * i as f32)))
     };
     let sharp: Vec<Rgb> = cameras.iter().enumerate().map(photo).collect();
