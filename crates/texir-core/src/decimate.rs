@@ -48,7 +48,7 @@ pub fn decimate(mesh: &Mesh, target: usize, progress: &dyn Progress) -> Result<D
             "cannot be reduced to {target} triangles; expected {FEWEST} or more: try a tenth of the {before} that it has"
         )));
     }
-    let (mut surface, mut queue) = Surface::new(mesh);
+    let (mut surface, mut queue) = CollapsibleMesh::new(mesh);
     let (mut live, mut moved) = (surface.triangles.len(), 0.0_f64);
     progress.start("decimating", live.saturating_sub(target) as u64, "triangles");
     let (mut collapses, mut told) = (0, live);
@@ -116,7 +116,7 @@ impl Quadric {
         }
     }
 
-    fn best(&self) -> Place {
+    fn best(&self) -> Optimum {
         let evenness = EVENNESS * self.area;
         let square = self.square + DMat3::from_diagonal(DVec3::splat(evenness));
         let at = square.inverse() * (self.linear + EVENNESS * self.corners);
@@ -124,12 +124,12 @@ impl Quadric {
         let from_corners = self.area * at.length_squared() - 2.0 * at.dot(self.corners) + self.lengths;
         let mean = |sum: f64| sum.max(0.0) / self.area.max(f64::MIN_POSITIVE);
         let moved = mean(from_planes);
-        Place { at, moved, cost: moved + EVENNESS * mean(from_corners) }
+        Optimum { at, moved, cost: moved + EVENNESS * mean(from_corners) }
     }
 }
 
 /// Where a vertex lies best.
-struct Place {
+struct Optimum {
     at: DVec3,
     /// Mean squared distance from the planes, m².
     moved: f64,
@@ -167,7 +167,7 @@ impl PartialEq for Candidate {
 impl Eq for Candidate {}
 
 /// A mesh whose edges can be collapsed.
-struct Surface {
+struct CollapsibleMesh {
     positions: Vec<DVec3>,
     quadrics: Vec<Quadric>,
     /// How often each vertex has moved.
@@ -178,7 +178,7 @@ struct Surface {
     triangles: Vec<[u32; 3]>,
 }
 
-impl Surface {
+impl CollapsibleMesh {
     /// The mesh with its vertices welded, and all its edges.
     fn new(mesh: &Mesh) -> (Self, BinaryHeap<Candidate>) {
         let (welded, firsts) = weld(mesh.positions.iter().map(|p| bits(*p)));
@@ -219,7 +219,7 @@ impl Surface {
     }
 
     /// Where the one vertex that an edge becomes lies best.
-    fn best(&self, edge: [u32; 2]) -> Place {
+    fn best(&self, edge: [u32; 2]) -> Optimum {
         let [a, b] = edge.map(|v| &self.quadrics[v as usize]);
         a.plus(b).best()
     }

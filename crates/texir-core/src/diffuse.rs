@@ -45,14 +45,14 @@ const SIZE: usize = 33;
 const STEPS: usize = 64;
 
 /// Directional albedo of Burley's model over n·v and r, both from 0 to 1.
-struct Table(Vec<f32>);
+struct DirectionalAlbedo(Vec<f32>);
 
-static BURLEY: LazyLock<Table> = LazyLock::new(|| {
+static BURLEY: LazyLock<DirectionalAlbedo> = LazyLock::new(|| {
     let at = |i: usize| i as f32 / (SIZE - 1) as f32;
-    Table((0..SIZE * SIZE).map(|i| burley(at(i % SIZE), at(i / SIZE))).collect())
+    DirectionalAlbedo((0..SIZE * SIZE).map(|i| burley(at(i % SIZE), at(i / SIZE))).collect())
 });
 
-impl Table {
+impl DirectionalAlbedo {
     /// Bilinear.
     fn at(&self, nv: f32, r: f32) -> f32 {
         let split = |x: f32| {

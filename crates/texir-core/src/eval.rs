@@ -282,7 +282,7 @@ impl<'a> Subject<'a> {
         view: &View,
         observed: &Observed,
         rendered: Rgb,
-    ) -> Result<Shown> {
+    ) -> Result<SubjectView> {
         let surfaces = renderer.surfaces(&view.camera, self.textures)?;
         let mask = observed.mask.clone().unwrap_or_else(|| surfaces.reflective());
         let albedo_scale =
@@ -298,7 +298,7 @@ impl<'a> Subject<'a> {
         let known = mask.and(&observed.image.finite());
         let image = compare(&encoded(&rendered), &encoded(&observed.image), &known)?;
         self.views.push(Scores { albedo, roughness, image });
-        Ok(Shown { rendered, surfaces, mask, albedo_scale })
+        Ok(SubjectView { rendered, surfaces, mask, albedo_scale })
     }
 
     fn albedo(&self, albedo: &Rgb, truth: &Rgb, own_scale: f64, mask: &Mask) -> Result<Option<AlbedoScore>> {
@@ -326,7 +326,7 @@ impl<'a> Subject<'a> {
 }
 
 /// A view as a subject shows it.
-struct Shown {
+struct SubjectView {
     rendered: Rgb,
     surfaces: Surfaces,
     mask: Mask,

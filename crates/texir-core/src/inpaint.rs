@@ -44,7 +44,7 @@ pub(crate) fn fill_groups(
     texel: f32,
 ) -> Vec<[f32; 3]> {
     let seen = (0..points.len()).filter_map(|i| known[i].filter(|&v| usual(v)).map(|v| (&points[i], group[i], v)));
-    let grid = Grid::new(seen, texel);
+    let grid = NestedGrids::new(seen, texel);
     let value = |i: usize| known[i].unwrap_or_else(|| grid.value(&points[i], group[i]));
     (0..points.len()).into_par_iter().map(value).collect()
 }
@@ -70,20 +70,20 @@ impl Mean {
 }
 
 /// Cells of one size. The hasher is fixed, so that sums over cells run in the same order every time.
-type Level = HashMap<(IVec3, u32), Mean, BuildHasherDefault<DefaultHasher>>;
+type Cells = HashMap<(IVec3, u32), Mean, BuildHasherDefault<DefaultHasher>>;
 
 /// What the seen texels know, at all sizes.
-struct Grid {
+struct NestedGrids {
     /// Edge of a cell on the finest level, metres.
     cell: f32,
-    levels: Vec<Level>,
+    levels: Vec<Cells>,
     all: Mean,
 }
 
-impl Grid {
+impl NestedGrids {
     fn new<'a>(seen: impl Iterator<Item = (&'a SurfacePoint, u32, [f32; 3])>, texel: f32) -> Self {
         let cell = FINEST * texel.max(SMALLEST_TEXEL);
-        let mut finest = Level::default();
+        let mut finest = Cells::default();
         let mut all = Mean::default();
         for (point, group, value) in seen {
             let log = (Vec3::from(value) + BLACK).map(f32::ln);
@@ -93,7 +93,7 @@ impl Grid {
         }
         let mut levels = vec![finest];
         for level in 1..LEVELS {
-            let mut coarse = Level::default();
+            let mut coarse = Cells::default();
             for ((cell, group), mean) in &levels[level - 1] {
                 coarse.entry((*cell >> 1, *group)).or_default().add(mean.sum, mean.weight);
             }

@@ -130,7 +130,7 @@ impl<'a> Renderer<'a> {
         for rows in bands(camera.height, camera.width) {
             let band = Band { hits: self.backend.primary(camera, rows.clone())?, first: rows.start * camera.width };
             let pixels: Vec<u32> = (rows.start * camera.width..rows.end * camera.width).map(|i| i as u32).collect();
-            let seen = Seen { camera, band: &band, pixels: &pixels, filter: Filter::Point };
+            let seen = SeenPixels { camera, band: &band, pixels: &pixels, filter: Filter::Point };
             all.append(self.look_up_all(&seen, textures)?);
             hits.extend(band.hits);
         }
@@ -186,7 +186,7 @@ impl<'a> Renderer<'a> {
                     let sum = &mut radiance.data[y * camera.width + x];
                     *sum = std::array::from_fn(|c| sum[c] + value[c] / share as f32);
                 };
-                let view = |pixels| Seen { camera: &fine, band: &band, pixels, filter: Filter::Area };
+                let view = |pixels| SeenPixels { camera: &fine, band: &band, pixels, filter: Filter::Area };
                 let values = self.look_up_all(&view(&strata), textures)?;
                 let masking = textures.masking;
                 let known = tables.iter().position(|(of, _)| *of == masking);
@@ -227,7 +227,7 @@ impl<'a> Renderer<'a> {
 
     /// All textures at some pixels. Emission is looked up on the atlas itself: on the coarse levels of its pyramid, lamps
     /// would shine into the charts beside theirs.
-    fn look_up_all(&mut self, seen: &Seen<'_>, textures: &Textures) -> Result<Values> {
+    fn look_up_all(&mut self, seen: &SeenPixels<'_>, textures: &Textures) -> Result<Values> {
         let mut known = Vec::new();
         let albedo = self.look_up_rgb(&textures.albedo, seen, &mut known)?;
         let irradiance = self.look_up_rgb(&textures.irradiance, seen, &mut known)?;
@@ -245,7 +245,12 @@ impl<'a> Renderer<'a> {
         Ok(Values { albedo, roughness, metallic, irradiance, emission })
     }
 
-    fn look_up_rgb(&mut self, texture: &Rgb, seen: &Seen<'_>, known: &mut Known) -> Result<Vec<[f32; 3]>> {
+    fn look_up_rgb(
+        &mut self,
+        texture: &Rgb,
+        seen: &SeenPixels<'_>,
+        known: &mut SharedFootprints,
+    ) -> Result<Vec<[f32; 3]>> {
         let values = self.look_up(texture.size(), bytemuck::cast_slice(&texture.data), 3, seen, known)?;
         Ok(values.as_chunks::<3>().0.to_vec())
     }
@@ -256,8 +261,8 @@ impl<'a> Renderer<'a> {
         size: (usize, usize),
         texture: &[f32],
         channels: usize,
-        seen: &Seen<'_>,
-        known: &mut Known,
+        seen: &SeenPixels<'_>,
+        known: &mut SharedFootprints,
     ) -> Result<Vec<f32>> {
         let index = self.pyramid(size)?;
         let pyramid = &self.pyramids[index];
@@ -307,7 +312,7 @@ fn sub_pixels<'a>(
 }
 
 /// Footprints by pyramid, so that textures of one size share theirs.
-type Known = Vec<(usize, Rows)>;
+type SharedFootprints = Vec<(usize, Rows)>;
 
 /// What of a texture a pixel shows.
 #[derive(Clone, Copy)]
@@ -333,14 +338,14 @@ impl Band {
 }
 
 /// Pixels of a view, and what the view hits.
-struct Seen<'a> {
+struct SeenPixels<'a> {
     camera: &'a Camera,
     band: &'a Band,
     pixels: &'a [u32],
     filter: Filter,
 }
 
-impl Seen<'_> {
+impl SeenPixels<'_> {
     fn footprints(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
         match self.filter {
             Filter::Point => self.bilinear(pyramid, mesh),

@@ -252,8 +252,14 @@ impl Model {
 }
 
 impl Part {
-    fn new(path: &Path, place: &str, node: &Node, material: Option<usize>, surface: geometry::Surface) -> Result<Self> {
-        let geometry::Surface { positions, normals, uvs, mut triangles } = surface;
+    fn new(
+        path: &Path,
+        place: &str,
+        node: &Node,
+        material: Option<usize>,
+        surface: geometry::PrimitiveGeometry,
+    ) -> Result<Self> {
+        let geometry::PrimitiveGeometry { positions, normals, uvs, mut triangles } = surface;
         let uvs_finite = uvs.iter().flatten().flatten().all(|uv| uv.is_finite());
         if !positions.iter().all(|p| p.is_finite()) || !uvs_finite {
             return Err(Error::file(path, format!("{place} has coordinates that are not finite numbers")));

@@ -163,20 +163,20 @@ impl Estimate {
         Ok((DARK * (sum / self.rays.len().max(1) as f64) as f32).max(f32::MIN_POSITIVE))
     }
 
-    fn known(&self, items: &Items) -> Result<Known<'_>> {
+    fn known(&self, items: &Items) -> Result<EstimateAt<'_>> {
         let [a, b] = &self.halves;
-        Ok(Known { halves: [a.get(items)?, b.get(items)?], rays: self.rays.get(items)?, floor: self.floor })
+        Ok(EstimateAt { halves: [a.get(items)?, b.get(items)?], rays: self.rays.get(items)?, floor: self.floor })
     }
 }
 
 /// What was gathered at some points; functions take their places among these.
-struct Known<'a> {
+struct EstimateAt<'a> {
     halves: [Cow<'a, [Gathered]>; 2],
     rays: Cow<'a, [u32]>,
     floor: f32,
 }
 
-impl Known<'_> {
+impl EstimateAt<'_> {
     /// E of a point: the mean of both halves.
     fn mean(&self, i: usize) -> Vec3 {
         (Vec3::from(self.halves[0][i].irradiance) + Vec3::from(self.halves[1][i].irradiance)) / 2.0

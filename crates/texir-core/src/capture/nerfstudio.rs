@@ -118,7 +118,7 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let classes = file.classes.as_ref().map(|name| Classes::open(name, folder)).transpose()?.map(Arc::new);
     let view = |(index, (frame, name)): (usize, (&Frame, String))| {
-        let place = Place { path, index, file_path: &frame.file_path };
+        let place = FrameLocation { path, index, file_path: &frame.file_path };
         let local = |file: &Option<String>| file.as_ref().map(|file| folder.join(file));
         let model = frame.model.or(&file.model);
         let view = View {
@@ -142,13 +142,13 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
 }
 
 /// Where in the file something is wrong.
-struct Place<'a> {
+struct FrameLocation<'a> {
     path: &'a Path,
     index: usize,
     file_path: &'a str,
 }
 
-impl Place<'_> {
+impl FrameLocation<'_> {
     fn error(&self, field: &str, what: impl std::fmt::Display) -> Error {
         Error::file(self.path, format!("frames[{}] ({}): {field} {what}", self.index, self.file_path))
     }
@@ -158,7 +158,7 @@ impl Place<'_> {
 fn names(path: &Path, frames: &[Frame]) -> Result<Vec<String>> {
     let mut taken = HashSet::new();
     for (index, frame) in frames.iter().enumerate() {
-        let place = Place { path, index, file_path: &frame.file_path };
+        let place = FrameLocation { path, index, file_path: &frame.file_path };
         if Path::new(&frame.file_path).file_stem().is_none() {
             return Err(place.error("file_path", "names no file; expected the view's image"));
         }
@@ -184,7 +184,7 @@ impl<'a> SplitLists<'a> {
 
     /// The frame's own `split`; else, with a list of training files, whether it is on it; else whether it is on none of
     /// the lists of held-out files.
-    fn of(&self, place: &Place, frame: &Frame) -> Result<Split> {
+    fn of(&self, place: &FrameLocation, frame: &Frame) -> Result<Split> {
         let name = frame.file_path.as_str();
         let train = match (&frame.split, &self.train) {
             (Some(split), _) if split.starts_with("train") => true,
@@ -220,7 +220,7 @@ impl CameraModel {
         }
     }
 
-    fn camera(&self, place: &Place, rows: &[Vec<f64>]) -> Result<Camera> {
+    fn camera(&self, place: &FrameLocation, rows: &[Vec<f64>]) -> Result<Camera> {
         let projection = match self.camera_model.as_deref() {
             Some("EQUIRECTANGULAR") => Projection::Equirectangular,
             Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "OPENCV_FISHEYE") => self.pinhole(place)?,
@@ -239,7 +239,7 @@ impl CameraModel {
     }
 
     /// The lens: nerfstudio's OPENCV takes k4 for the coefficient of r⁸, and its fisheye is OpenCV's.
-    fn distortion(&self, place: &Place) -> Result<Option<Distortion>> {
+    fn distortion(&self, place: &FrameLocation) -> Result<Option<Distortion>> {
         let [k1, k2, k3, k4, p1, p2] =
             [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(Option::unwrap_or_default);
         let distortion = match self.camera_model.as_deref() {
@@ -253,7 +253,7 @@ impl CameraModel {
         }
     }
 
-    fn pinhole(&self, place: &Place) -> Result<Projection> {
+    fn pinhole(&self, place: &FrameLocation) -> Result<Projection> {
         let focal = |field, value: Option<f64>| match value {
             Some(v) if v > 0.0 && v.is_finite() => Ok(v as f32),
             _ => Err(place.error(field, format!("is {}; expected a focal length in pixels", shown(value)))),
@@ -297,7 +297,7 @@ fn shown(value: Option<f64>) -> String {
 /// Images are no longer on a side, pixels.
 const LARGEST_SIZE: u16 = u16::MAX;
 
-fn size(place: &Place, field: &str, value: Option<f64>) -> Result<usize> {
+fn size(place: &FrameLocation, field: &str, value: Option<f64>) -> Result<usize> {
     match value {
         Some(v) if v >= 1.0 && v <= f64::from(LARGEST_SIZE) && v.fract() == 0.0 => Ok(v as usize),
         _ => {

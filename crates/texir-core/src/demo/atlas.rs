@@ -18,16 +18,16 @@ pub(super) const GUTTER: usize = 4;
 /// How far the textures continue beyond their charts, texels.
 const DILATION: usize = 4;
 
-/// A chart's place in the atlas, texels.
+/// A chart's rectangle in the atlas, texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct ChartRect {
     pub x: usize,
     pub y: usize,
     pub width: usize,
     pub height: usize,
 }
 
-impl Place {
+impl ChartRect {
     /// Chart coordinates (metres) of the centre of texel (`x`, `y`) of the atlas scaled by 1/`shrink`.
     pub fn chart_point(&self, size: Vec2, x: usize, y: usize, shrink: usize) -> Vec2 {
         let texel = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) * shrink as f32;
@@ -51,7 +51,7 @@ fn footprint(chart: &Chart, density: f32) -> (usize, usize) {
 }
 
 /// Places the charts, as large as they fit into a `side`² atlas. Returns the density in texels per metre.
-pub(super) fn pack(charts: &[Chart], side: usize) -> Result<(Vec<Place>, f32)> {
+pub(super) fn pack(charts: &[Chart], side: usize) -> Result<(Vec<ChartRect>, f32)> {
     let area: f32 = charts.iter().map(|c| c.size().x * c.size().y).sum();
     let mut best = None;
     let (mut low, mut high) = (0.0, side as f32 / area.max(1e-6).sqrt());
@@ -71,13 +71,13 @@ pub(super) fn pack(charts: &[Chart], side: usize) -> Result<(Vec<Place>, f32)> {
 }
 
 /// Skyline packing, bottom-left, tallest first (Jylänki, "A Thousand Ways to Pack the Bin", 2010).
-fn place_all(charts: &[Chart], side: usize, density: f32) -> Option<Vec<Place>> {
+fn place_all(charts: &[Chart], side: usize, density: f32) -> Option<Vec<ChartRect>> {
     let sizes: Vec<(usize, usize)> = charts.iter().map(|c| footprint(c, density)).collect();
     let mut order: Vec<usize> = (0..charts.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i].1), std::cmp::Reverse(sizes[i].0), i));
     // The skyline: (x, y) of every step, left to right; everything above y is taken.
     let mut steps = vec![(GUTTER / 2, GUTTER / 2)];
-    let mut places = vec![Place { x: 0, y: 0, width: 0, height: 0 }; charts.len()];
+    let mut places = vec![ChartRect { x: 0, y: 0, width: 0, height: 0 }; charts.len()];
     for i in order {
         let (width, height) = sizes[i];
         let (w, h) = (width + GUTTER, height + GUTTER);
@@ -87,7 +87,7 @@ fn place_all(charts: &[Chart], side: usize, density: f32) -> Option<Vec<Place>> 
             (x + w <= side && y + h <= side).then_some((y, x))
         };
         let (y, x) = (0..steps.len()).filter_map(fit).min()?;
-        places[i] = Place { x, y, width, height };
+        places[i] = ChartRect { x, y, width, height };
         let level_behind = steps.iter().rev().find(|step| step.0 <= x + w).map_or(GUTTER / 2, |step| step.1);
         steps.retain(|step| step.0 < x || step.0 >= x + w);
         let at = steps.partition_point(|step| step.0 < x);
@@ -110,9 +110,9 @@ pub(super) struct TexelPoint {
 }
 
 /// All texels on charts; see [`TexelPoint`].
-pub(super) fn texel_points(charts: &[Chart], places: &[Place], side: usize, shrink: usize) -> Vec<TexelPoint> {
+pub(super) fn texel_points(charts: &[Chart], places: &[ChartRect], side: usize, shrink: usize) -> Vec<TexelPoint> {
     let side = side / shrink;
-    let of_chart = |(chart, place): (usize, &Place)| {
+    let of_chart = |(chart, place): (usize, &ChartRect)| {
         let (x0, y0) = (place.x / shrink, place.y / shrink);
         let (w, h) = (place.width / shrink, place.height / shrink);
         let (shape, place) = (&charts[chart], *place);
@@ -168,7 +168,7 @@ pub(super) fn build(charts: Vec<Chart>, rooms: Vec<Room>, options: &FlatOptions)
 }
 
 /// Appends a chart's triangles: every cell is cut along the diagonal from its lower left to its upper right corner.
-fn append(mesh: &mut Mesh, chart: &Chart, place: &Place, side: usize) {
+fn append(mesh: &mut Mesh, chart: &Chart, place: &ChartRect, side: usize) {
     let base = mesh.positions.len() as u32;
     let (columns, rows) = (chart.columns.len(), chart.rows.len());
     for (r, &t) in chart.rows.iter().enumerate() {

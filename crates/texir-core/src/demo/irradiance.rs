@@ -45,7 +45,7 @@ struct Link {
 }
 
 /// What a texel's gather rays met.
-struct Gathered {
+struct GatherRays {
     links: Vec<Link>,
     /// π / number of rays: those that met nothing, or a back, bring no light.
     scale: f32,
@@ -152,7 +152,7 @@ fn direct(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
 }
 
 /// Traces the gather rays of a texel.
-fn gather(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<Gathered> {
+fn gather(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<GatherRays> {
     let point = texel.point?;
     let position = offset_origin(point.position, point.normal);
     let seed = stream(options.seed, 3, texel.texel);
@@ -175,7 +175,7 @@ fn gather(world: &World, options: &RenderOptions, texel: &TexelPoint) -> Option<
         links.push(link);
     }
     let scale = std::f32::consts::PI / count as f32;
-    (2 * backs <= count).then_some(Gathered { links, scale, reflected_emission: reflected * scale })
+    (2 * backs <= count).then_some(GatherRays { links, scale, reflected_emission: reflected * scale })
 }
 
 /// Follows the specular lobe at a gather ray's hit: sets the link's far end, returns the emitted light seen in it.
@@ -198,7 +198,7 @@ fn reflect(world: &World, hit: &Vertex, view: Vec3, link: &mut Link, sample: &mu
 }
 
 /// Indirect irradiance of a texel from the radiosity (outgoing diffuse radiance) of all texels.
-fn bounce(gathered: &Gathered, radiosity: &[Vec3]) -> Vec3 {
+fn bounce(gathered: &GatherRays, radiosity: &[Vec3]) -> Vec3 {
     let mut sum = Vec3::ZERO;
     for link in &gathered.links {
         sum += radiosity[link.near as usize];

@@ -119,7 +119,7 @@ pub struct Flat {
     /// Density of the atlas.
     pub texels_per_metre: f32,
     charts: Vec<chart::Chart>,
-    places: Vec<atlas::Place>,
+    places: Vec<atlas::ChartRect>,
     /// The chart of every triangle.
     chart_of: Vec<u32>,
 }

@@ -33,7 +33,7 @@ pub(super) fn order(samples: &[Vec<[f32; 3]>], exposures: &[f64]) -> Vec<usize> 
 
 /// What is known of a pixel so far.
 #[derive(Clone, Copy, Default)]
-struct Pixel {
+struct PixelSums {
     /// Radiance and its variance in the first usable shot.
     anchor: Option<[(f32, f32); 3]>,
     weighted: [f32; 3],
@@ -47,12 +47,12 @@ struct Pixel {
 pub(super) struct Sums {
     width: usize,
     height: usize,
-    pixels: Vec<Pixel>,
+    pixels: Vec<PixelSums>,
 }
 
 impl Sums {
     pub(super) fn new(width: usize, height: usize) -> Self {
-        Self { width, height, pixels: vec![Pixel::default(); width * height] }
+        Self { width, height, pixels: vec![PixelSums::default(); width * height] }
     }
 
     /// Adds a shot.
@@ -73,7 +73,7 @@ impl Sums {
     }
 }
 
-impl Pixel {
+impl PixelSums {
     fn add(&mut self, values: [f32; 3], exposure: f32, step: f32, response: &Response) {
         let seen: [(f32, f32); 3] = std::array::from_fn(|c| response.light(c, values[c]));
         // All channels or none: a lamp that clips in red alone must not change its colour.

@@ -140,7 +140,7 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
 }
 
 /// What a primitive holds, in world space. Attributes are per vertex, indices in range.
-pub(crate) struct Surface {
+pub(crate) struct PrimitiveGeometry {
     pub positions: Vec<Vec3>,
     pub normals: Vec<Option<Vec3>>,
     /// TEXCOORD_0, also where the file has none, and those that follow it in the file.
@@ -200,7 +200,7 @@ pub(crate) fn surface(
     primitive: &Primitive,
     buffers: &[Data],
     world_from_node: Mat4,
-) -> Result<Option<Surface>> {
+) -> Result<Option<PrimitiveGeometry>> {
     match primitive.mode() {
         Mode::Triangles => {}
         mode @ (Mode::TriangleStrip | Mode::TriangleFan) => {
@@ -235,7 +235,7 @@ pub(crate) fn surface(
     // A mirroring transform turns the winding around.
     let order = if world_from_node.determinant() < 0.0 { [0, 2, 1] } else { [0, 1, 2] };
     let triangles = indices.chunks_exact(3).map(|t| order.map(|corner| t[corner])).collect();
-    Ok(Some(Surface { positions, normals: padded(normals, count), uvs, triangles }))
+    Ok(Some(PrimitiveGeometry { positions, normals: padded(normals, count), uvs, triangles }))
 }
 
 /// How many sets of coordinates a primitive has: TEXCOORD_0, counted even where it is missing, and those that follow it.

@@ -23,7 +23,7 @@ pub(super) struct Best {
 
 /// One observation as the blend sees it.
 #[derive(Clone, Copy)]
-struct Seen {
+struct Weighed {
     /// ln of the mean of the channels.
     log_mean: f32,
     /// Views are blended in proportion to it.
@@ -58,11 +58,11 @@ impl Best {
         if let Some(masked) = self.masked.filter(|_| self.excluded > 0) {
             return Some(masked.radiance);
         }
-        let mut seen: Vec<Seen> = self
+        let mut seen: Vec<Weighed> = self
             .seen
             .iter()
             .flatten()
-            .map(|o| Seen {
+            .map(|o| Weighed {
                 log_mean: log(mean_of_channels(o.radiance)),
                 weight: o.weight.powf(options.sharpness),
                 radiance: o.radiance,
@@ -76,7 +76,7 @@ impl Best {
         seen.retain(|s| s.log_mean >= median - allowed);
         let diffuse = quantile(&seen, options.quantile)?;
         let (mut sum, mut total) = ([0.0; 3], 0.0);
-        for Seen { weight, radiance, .. } in seen {
+        for Weighed { weight, radiance, .. } in seen {
             let off = |c: usize| (log(radiance[c]) - log(diffuse.radiance[c])) / options.tolerance;
             let weight = weight / (1.0 + (0..3).map(|c| off(c).powi(2)).sum::<f32>() / 3.0);
             for (s, r) in sum.iter_mut().zip(radiance) {
@@ -93,7 +93,7 @@ fn weight(observation: &Option<Observation>) -> f32 {
 }
 
 /// The first of `sorted` (by `log_mean`) at which the sum of the weights reaches this share of all.
-fn quantile(sorted: &[Seen], share: f32) -> Option<Seen> {
+fn quantile(sorted: &[Weighed], share: f32) -> Option<Weighed> {
     let least = share * sorted.iter().map(|s| s.weight).sum::<f32>();
     let mut below = 0.0;
     sorted.iter().copied().find(|s| {

@@ -46,7 +46,8 @@ impl Joined {
                 }
             }
         }
-        let mut open: Vec<Edge> = open.into_values().map(|(triangle, edge)| Edge::new(mesh, triangle, edge)).collect();
+        let mut open: Vec<OpenEdge> =
+            open.into_values().map(|(triangle, edge)| OpenEdge::new(mesh, triangle, edge)).collect();
         open.sort_unstable_by_key(|edge| (edge.triangle, edge.edge));
         let mut cracks: HashMap<u32, Vec<u32>> = HashMap::new();
         for (edge, other) in open.iter().zip(across_cracks(&open)) {
@@ -94,13 +95,13 @@ impl Joined {
 }
 
 /// An edge that no other triangle has.
-struct Edge {
+struct OpenEdge {
     triangle: u32,
     edge: usize,
     ends: [Vec3; 2],
 }
 
-impl Edge {
+impl OpenEdge {
     fn new(mesh: &Mesh, triangle: u32, edge: usize) -> Self {
         let corners = mesh.corners(triangle);
         Self { triangle, edge, ends: [corners[edge], corners[(edge + 1) % 3]] }
@@ -123,8 +124,8 @@ impl Edge {
 
 /// The triangle whose edge is nearest to the middle of each edge, where it is no further away than [`CRACK`] of its length: parts
 /// of an object that meet with other vertices, as the cover of a lampshade and its side.
-fn across_cracks(edges: &[Edge]) -> Vec<Option<u32>> {
-    let mut lengths: Vec<f32> = edges.iter().map(Edge::length).collect();
+fn across_cracks(edges: &[OpenEdge]) -> Vec<Option<u32>> {
+    let mut lengths: Vec<f32> = edges.iter().map(OpenEdge::length).collect();
     let Some(median) = median(&mut lengths) else { return Vec::new() };
     let cell = median.max(WELD);
     let cell_of = |point: Vec3| (point / cell).floor().as_ivec3();
@@ -139,7 +140,7 @@ fn across_cracks(edges: &[Edge]) -> Vec<Option<u32>> {
             }
         }
     }
-    let nearest = |edge: &Edge| {
+    let nearest = |edge: &OpenEdge| {
         let (middle, most) = (edge.middle(), CRACK * edge.length());
         let reach = most.min(cell);
         let [low, high] = [cell_of(middle - reach), cell_of(middle + reach)];

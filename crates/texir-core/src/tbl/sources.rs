@@ -59,7 +59,7 @@ const BLACK: f32 = 1e-6;
 const NONE: u32 = u32::MAX;
 
 /// What is known of the surroundings of light sources.
-pub(super) struct Surroundings {
+pub(super) struct AroundSources {
     /// The texels of light sources and around them that pixels show.
     pub texels: Vec<u32>,
     /// How many pixels' worth of each of them the pixels show.
@@ -89,7 +89,7 @@ pub(super) fn resolve(
     load: &mut dyn FnMut(usize) -> Result<Photo>,
     joined: &Joined,
     blended: &[Option<[f32; 3]>],
-) -> Result<Surroundings> {
+) -> Result<AroundSources> {
     let limit = inpaint::source_limit(blended);
     let mut sources: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
     let mut explained = explain_around(fusion, backend, load, blended, (&sources, joined))?;
@@ -117,7 +117,7 @@ pub(super) fn resolve(
             mixed[view].push(pixel);
         }
     }
-    Ok(Surroundings { texels, shown, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
+    Ok(AroundSources { texels, shown, radiance: radiance.iter().map(Vec3::to_array).collect(), limit, mixed })
 }
 
 /// Pixels at light sources, and the texels that explain them.
@@ -235,9 +235,9 @@ impl Pixels {
     }
 }
 
-/// Where a texel is.
+/// What part of a light source a texel belongs to.
 #[derive(Clone, Copy, PartialEq)]
-enum Place {
+enum Membership {
     /// In this smooth part of a lamp, of few pixels.
     Part(u32),
     /// In a part of a light source that fills many pixels.
@@ -246,14 +246,14 @@ enum Place {
     Beside,
 }
 
-/// Where each of the texels is.
+/// What each of the texels belongs to.
 fn parts_of_lamps(
     fusion: &Fusion<'_>,
     joined: &Joined,
     sources: &[bool],
     texels: &[u32],
     (place, rows): (&[(usize, usize)], &Rows),
-) -> Vec<Place> {
+) -> Vec<Membership> {
     let part = |texel: usize| joined.part(fusion.atlas.points[texel].triangle);
     let mut counts: HashMap<u32, [u32; 2]> = HashMap::new();
     for (texel, source) in sources.iter().enumerate() {
@@ -278,9 +278,9 @@ fn parts_of_lamps(
     let large: HashSet<u32> =
         filled.iter().filter(|(_, pixels)| **pixels > PART_PIXELS).map(|((p, _), _)| *p).collect();
     let place = |part: Option<u32>| match part {
-        Some(part) if large.contains(&part) => Place::Resolved,
-        Some(part) => Place::Part(part),
-        None => Place::Beside,
+        Some(part) if large.contains(&part) => Membership::Resolved,
+        Some(part) => Membership::Part(part),
+        None => Membership::Beside,
     };
     parts.into_iter().map(place).collect()
 }
@@ -291,18 +291,18 @@ fn explain_parts(
     rows: &Rows,
     seen: &[Vec3],
     mut start: Vec<Option<Vec3>>,
-    parts: &[Place],
+    parts: &[Membership],
     limit: f32,
 ) -> Vec<Option<Vec3>> {
     let mut number = HashMap::new();
     for part in parts {
-        if let Place::Part(part) = part {
+        if let Membership::Part(part) = part {
             let new = number.len() as u32;
             number.entry(*part).or_insert(new);
         }
     }
     let dim = |t: u32| match (parts[t as usize], start[t as usize]) {
-        (Place::Resolved, Some(start)) => start,
+        (Membership::Resolved, Some(start)) => start,
         (_, Some(start)) => start * (limit / mean_of_channels(start).max(limit).max(BLACK)),
         (_, None) => Vec3::ZERO,
     };
@@ -310,7 +310,7 @@ fn explain_parts(
         let (mut taps, mut beside) = (Vec::new(), Vec3::ZERO);
         for tap in rows.row(row) {
             match parts[tap.texel as usize] {
-                Place::Part(part) => taps.push(Tap { texel: number[&part], ..*tap }),
+                Membership::Part(part) => taps.push(Tap { texel: number[&part], ..*tap }),
                 _ => beside += dim(tap.texel) * tap.weight,
             }
         }
@@ -323,7 +323,7 @@ fn explain_parts(
     let (seen, beside): (Vec<Vec3>, Vec<Vec3>) = pixels.into_iter().unzip();
     let explained = explain(&Rows::from_lists(taps), &seen, &beside, &vec![None; number.len()], PART_ITERATIONS);
     for (start, part) in start.iter_mut().zip(parts) {
-        if let Place::Part(part) = part {
+        if let Membership::Part(part) = part {
             *start = Some(explained[number[part] as usize]);
         }
     }
@@ -387,8 +387,9 @@ mod tests {
         let of_group =
             |values: [f32; 3]| (0..3 * TEXELS).map(|t| Some(Vec3::splat(values[(t / TEXELS) as usize]))).collect();
         let blended: Vec<Option<Vec3>> = of_group([40.0, 30.0, 5.0]);
-        let places: Vec<Place> =
-            (0..3 * TEXELS).map(|t| if t < 2 * TEXELS { Place::Part(t / TEXELS) } else { Place::Beside }).collect();
+        let places: Vec<Membership> = (0..3 * TEXELS)
+            .map(|t| if t < 2 * TEXELS { Membership::Part(t / TEXELS) } else { Membership::Beside })
+            .collect();
         let resolved = |start: &[Option<Vec3>]| {
             let radiance = explain(&rows, &seen, &vec![Vec3::ZERO; seen.len()], start, ITERATIONS);
             let mean = |group: usize| {
@@ -409,7 +410,7 @@ mod tests {
         let tap = |texel| Tap { texel, weight: 0.5 };
         let rows = Rows::from_lists([vec![tap(0), tap(1)]]);
         let black = vec![Some(Vec3::ZERO); 2];
-        let start = explain_parts(&rows, &[Vec3::ZERO], black, &[Place::Part(7), Place::Beside], 0.0);
+        let start = explain_parts(&rows, &[Vec3::ZERO], black, &[Membership::Part(7), Membership::Beside], 0.0);
         assert!(
             start.iter().flatten().all(|radiance| radiance.max_element() < 1e-3 && radiance.is_finite()),
             "{start:?}"

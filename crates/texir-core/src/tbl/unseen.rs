@@ -51,7 +51,7 @@ pub(super) fn shine(mesh: &Mesh, joined: &Joined, atlas: &Atlas, limit: f32, see
 
 /// What is seen of a triangle.
 #[derive(Clone, Copy, Default)]
-struct Seen {
+struct SeenOfTriangle {
     /// Texels.
     texels: u32,
     /// Those of them that shine,
@@ -60,15 +60,15 @@ struct Seen {
     light: Vec3,
 }
 
-impl Seen {
+impl SeenOfTriangle {
     fn shines(&self) -> bool {
         self.sources as f32 > SOURCES * self.texels as f32
     }
 }
 
 /// What is seen of each triangle.
-fn light_of_seen(mesh: &Mesh, atlas: &Atlas, limit: f32, seen: &[bool], radiance: &[[f32; 3]]) -> Vec<Seen> {
-    let mut known = vec![Seen::default(); mesh.triangles.len()];
+fn light_of_seen(mesh: &Mesh, atlas: &Atlas, limit: f32, seen: &[bool], radiance: &[[f32; 3]]) -> Vec<SeenOfTriangle> {
+    let mut known = vec![SeenOfTriangle::default(); mesh.triangles.len()];
     for ((point, radiance), _) in atlas.points.iter().zip(radiance).zip(seen).filter(|(_, seen)| **seen) {
         let triangle = &mut known[point.triangle as usize];
         triangle.texels += 1;
@@ -83,14 +83,18 @@ fn light_of_seen(mesh: &Mesh, atlas: &Atlas, limit: f32, seen: &[bool], radiance
 /// Which triangles are part of a source: of those that are not seen, the ones whose nearest seen triangle is, both along the
 /// surface and along their smooth part of it, where that has one. The dark rim of a spot is nearer to its shining face than to
 /// what is seen of the rim.
-fn sources(mesh: &Mesh, joined: &Joined, known: &[Seen]) -> Vec<bool> {
+fn sources(mesh: &Mesh, joined: &Joined, known: &[SeenOfTriangle]) -> Vec<bool> {
     let nearest = spread(mesh, known, |t| joined.of(t));
     let smooth = spread(mesh, known, |t| joined.of(t).filter(move |&next| joined.part(next) == joined.part(t)));
     nearest.into_iter().zip(smooth).map(|(nearest, smooth)| nearest == Some(true) && smooth != Some(false)).collect()
 }
 
 /// Whether the nearest seen triangle shines, along paths from neighbour to neighbour (Dijkstra); `None` where none leads to one.
-fn spread<N: Iterator<Item = u32>>(mesh: &Mesh, known: &[Seen], neighbours: impl Fn(u32) -> N) -> Vec<Option<bool>> {
+fn spread<N: Iterator<Item = u32>>(
+    mesh: &Mesh,
+    known: &[SeenOfTriangle],
+    neighbours: impl Fn(u32) -> N,
+) -> Vec<Option<bool>> {
     let centre = |t: u32| mesh.corners(t).iter().sum::<Vec3>() / 3.0;
     let is_known = |t: u32| known[t as usize].texels > 0;
     let mut shines: Vec<Option<bool>> = known.iter().map(|seen| (seen.texels > 0).then(|| seen.shines())).collect();
@@ -116,7 +120,7 @@ fn spread<N: Iterator<Item = u32>>(mesh: &Mesh, known: &[Seen], neighbours: impl
 
 /// The light of each triangle that `shines`: the mean over what is seen of those that it is connected with. What is seen at the
 /// rim of a lamp alone, where a pixel shows more of what is behind it, is little evidence of its back.
-fn of_sources(shines: &[bool], joined: &Joined, known: &[Seen]) -> Vec<Option<[f32; 3]>> {
+fn of_sources(shines: &[bool], joined: &Joined, known: &[SeenOfTriangle]) -> Vec<Option<[f32; 3]>> {
     let mut light = vec![None; shines.len()];
     let mut visited = vec![false; shines.len()];
     let mut visit = |t: u32| shines[t as usize] && !std::mem::replace(&mut visited[t as usize], true);

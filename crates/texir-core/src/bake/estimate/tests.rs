@@ -40,7 +40,7 @@ impl Noisy {
         &self,
         gather: Gather,
         error: Option<f32>,
-        look: impl FnOnce(&Estimate, &Surface<'_>, &Known<'_>) -> T,
+        look: impl FnOnce(&Estimate, &Surface<'_>, &EstimateAt<'_>) -> T,
     ) -> T {
         let texels = Texels::of(&self.floor);
         let surface = Surface::new(&texels, &self.scene.mesh, RADIUS).unwrap();

@@ -11,14 +11,14 @@ use crate::mesh::Mesh;
 /// meant.
 const SNAP_DEGREES: f64 = 10.0;
 
-/// A rotation after a scaling.
+/// A rotation after a scaling: how what a source holds becomes what texir holds.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Frame {
+pub(super) struct Similarity {
     texir_from_source: DQuat,
     metres_per_unit: f64,
 }
 
-impl Frame {
+impl Similarity {
     /// What the user says, else what the format says, else what the cameras tell; adds to `assumed` how it came about.
     pub(super) fn of(source: &Source, options: &ImportOptions, assumed: &mut Vec<String>) -> Result<Self> {
         let up = match (options.up, source.up) {

@@ -174,9 +174,9 @@ pub fn read(folder: impl AsRef<Path>, options: &ImportOptions, progress: &dyn Pr
     let (MeshFile { mesh, warnings }, unplaced) = read_surface(&mesh_path)?;
     warnings.iter().for_each(|w| progress.warn(w));
     let Source { mut shots, textures, mut assumed, .. } = source.clone();
-    let frame = frame::Frame::of(&source, options, &mut assumed)?;
-    shots.iter_mut().for_each(|shot| shot.view.camera = frame.place_camera(&shot.view.camera));
-    let mesh = frame.place_mesh(mesh);
+    let texir_from_source = frame::Similarity::of(&source, options, &mut assumed)?;
+    shots.iter_mut().for_each(|shot| shot.view.camera = texir_from_source.place_camera(&shot.view.camera));
+    let mesh = texir_from_source.place_mesh(mesh);
     let mut import =
         Import { root: folder.to_owned(), format: importer.name(), shots, mesh, mesh_path, textures, assumed };
     let reduced = match options.decimate {

@@ -10,7 +10,7 @@ use tract_onnx::tract_hir::infer::Factoid;
 use tract_onnx::tract_hir::internal::{TractErrorContext, bail};
 
 use super::crop::InputSize;
-use super::votes::Votes;
+use super::votes::CropVotes;
 use crate::error::{Error, Result};
 use crate::raster::Raster;
 
@@ -48,7 +48,7 @@ impl Network {
     }
 
     /// What the model says about a picture of the size that it takes.
-    pub(super) fn run(&self, picture: &Raster<[u8; 3]>) -> Result<Votes> {
+    pub(super) fn run(&self, picture: &Raster<[u8; 3]>) -> Result<CropVotes> {
         let (width, height) = picture.size();
         let planes = (0..3)
             .flat_map(|c| picture.data.iter().map(move |pixel| (f32::from(pixel[c]) / 255.0 - MEAN[c]) / DEVIATION[c]));
@@ -76,7 +76,7 @@ impl Network {
         Ok(plan)
     }
 
-    fn votes(&self, output: &Tensor) -> Result<Votes> {
+    fn votes(&self, output: &Tensor) -> Result<CropVotes> {
         let wrong = |what: String| Error::file(&self.path, what);
         let kind = output.datum_type();
         match (kind.is_float(), output.shape()) {
@@ -91,7 +91,7 @@ impl Network {
                 }
                 let scores = output
                     .cast_to::<f32>()
-                    .and_then(|scores| Ok(Votes::of_scores(width, height, scores.as_slice::<f32>()?)));
+                    .and_then(|scores| Ok(CropVotes::of_scores(width, height, scores.as_slice::<f32>()?)));
                 scores.map_err(|e| wrong(format!("output: cannot be read: {e:#}")))
             }
             (false, &([1, height, width] | [1, 1, height, width])) if height * width > 0 && !kind.is_quantized() => {
@@ -107,7 +107,7 @@ impl Network {
                     })
                 };
                 let classes = ids.into_iter().map(class).collect::<Result<_>>()?;
-                Ok(Votes::Classes(Raster::new(width, height, classes)?))
+                Ok(CropVotes::Classes(Raster::new(width, height, classes)?))
             }
             _ => Err(wrong(format!(
                 "output: is {} of {kind:?}; expected scores, 1×classes×height×width of F32, or classes, 1×height×width of \

@@ -6,7 +6,7 @@ use crate::raster::Raster;
 
 /// A model's answer about one crop, at the model's resolution.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Votes {
+pub(super) enum CropVotes {
     /// The share of each class in each pixel, class by class within the pixel.
     Shares {
         width: usize,
@@ -18,7 +18,7 @@ pub(super) enum Votes {
     Classes(Raster<u16>),
 }
 
-impl Votes {
+impl CropVotes {
     /// The softmax of scores that are stored class after class.
     pub(super) fn of_scores(width: usize, height: usize, scores: &[f32]) -> Self {
         let pixels = width * height;

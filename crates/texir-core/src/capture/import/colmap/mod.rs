@@ -27,7 +27,7 @@ pub(super) struct Colmap;
 /// One line of `cameras`.
 struct Sensor {
     id: u32,
-    model: &'static Model,
+    model: &'static CameraModel,
     width: u64,
     height: u64,
     parameters: Vec<f64>,
@@ -44,7 +44,7 @@ struct Image {
 }
 
 /// A camera model by its name and its number in binary files.
-struct Model {
+struct CameraModel {
     number: i32,
     name: &'static str,
     parameters: usize,
@@ -59,34 +59,34 @@ fn radial(k: [f64; 4], tangential: [f64; 2]) -> Option<Distortion> {
 }
 
 /// The models with up to OpenCV's twelve parameters (`src/colmap/sensor/models.h`).
-const CAMERA_MODELS: [Model; 9] = [
-    Model { number: 0, name: "SIMPLE_PINHOLE", parameters: 3, intrinsics: |p| ([p[0], p[0], p[1], p[2]], None) },
-    Model { number: 1, name: "PINHOLE", parameters: 4, intrinsics: |p| ([p[0], p[1], p[2], p[3]], None) },
-    Model {
+const CAMERA_MODELS: [CameraModel; 9] = [
+    CameraModel { number: 0, name: "SIMPLE_PINHOLE", parameters: 3, intrinsics: |p| ([p[0], p[0], p[1], p[2]], None) },
+    CameraModel { number: 1, name: "PINHOLE", parameters: 4, intrinsics: |p| ([p[0], p[1], p[2], p[3]], None) },
+    CameraModel {
         number: 2,
         name: "SIMPLE_RADIAL",
         parameters: 4,
         intrinsics: |p| ([p[0], p[0], p[1], p[2]], radial([p[3], 0.0, 0.0, 0.0], [0.0; 2])),
     },
-    Model {
+    CameraModel {
         number: 3,
         name: "RADIAL",
         parameters: 5,
         intrinsics: |p| ([p[0], p[0], p[1], p[2]], radial([p[3], p[4], 0.0, 0.0], [0.0; 2])),
     },
-    Model {
+    CameraModel {
         number: 4,
         name: "OPENCV",
         parameters: 8,
         intrinsics: |p| ([p[0], p[1], p[2], p[3]], radial([p[4], p[5], 0.0, 0.0], [p[6], p[7]])),
     },
-    Model {
+    CameraModel {
         number: 5,
         name: "OPENCV_FISHEYE",
         parameters: 8,
         intrinsics: |p| ([p[0], p[1], p[2], p[3]], Some(Distortion::Fisheye { k: [p[4], p[5], p[6], p[7]] })),
     },
-    Model {
+    CameraModel {
         number: 6,
         name: "FULL_OPENCV",
         parameters: 12,
@@ -95,13 +95,13 @@ const CAMERA_MODELS: [Model; 9] = [
             ([p[0], p[1], p[2], p[3]], lens)
         },
     },
-    Model {
+    CameraModel {
         number: 8,
         name: "SIMPLE_RADIAL_FISHEYE",
         parameters: 4,
         intrinsics: |p| ([p[0], p[0], p[1], p[2]], Some(Distortion::Fisheye { k: [p[3], 0.0, 0.0, 0.0] })),
     },
-    Model {
+    CameraModel {
         number: 9,
         name: "RADIAL_FISHEYE",
         parameters: 5,
@@ -110,7 +110,10 @@ const CAMERA_MODELS: [Model; 9] = [
 ];
 
 /// The model that `is` picks out, or what to do without it.
-fn camera_model(is: impl Fn(&Model) -> bool, found: impl std::fmt::Display) -> Result<&'static Model, String> {
+fn camera_model(
+    is: impl Fn(&CameraModel) -> bool,
+    found: impl std::fmt::Display,
+) -> Result<&'static CameraModel, String> {
     CAMERA_MODELS.iter().find(|m| is(m)).ok_or_else(|| {
         let names = CAMERA_MODELS.each_ref().map(|m| m.name).join(", ");
         format!("the camera model is {found}; expected one of {names}: undistort with `colmap image_undistorter`")
