@@ -14,7 +14,7 @@ pub mod paper;
 pub mod settings;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use adjacency::Adjacency;
@@ -116,22 +116,7 @@ pub fn fit(
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let given = capture.tbl.as_ref().map(|path| Tbl::read(path, progress)).transpose()?;
-    let size = match (settings.atlas_size, &given) {
-        (0, Some(tbl)) => tbl.radiance.size(),
-        (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
-        (size, _) => (size, size),
-    };
-    let given = given.filter(|tbl| tbl.radiance.size() == size);
-    let is_given = given.is_some();
-    let mut tbl = match given {
-        Some(tbl) => tbl,
-        None => tbl::build(backend, scene, &training, size, &TblOptions::default(), progress)?,
-    };
-    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
-    if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
-        tbl = tbl::resolve_sources(backend, scene, &atlas, &tbl, &training, progress)?;
-    }
+    let (mut tbl, atlas) = lighting(backend, scene, (capture.tbl.as_deref(), &training), settings, progress)?;
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
@@ -177,6 +162,33 @@ pub fn fit(
     timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
+}
+
+/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
+fn lighting(
+    backend: &mut dyn Backend,
+    scene: &Scene,
+    (given, training): (Option<&Path>, &[View]),
+    settings: &FitSettings,
+    progress: &dyn Progress,
+) -> Result<(Tbl, Atlas)> {
+    let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
+    let size = match (settings.atlas_size, &given) {
+        (0, Some(tbl)) => tbl.radiance.size(),
+        (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
+        (size, _) => (size, size),
+    };
+    let given = given.filter(|tbl| tbl.radiance.size() == size);
+    let is_given = given.is_some();
+    let mut tbl = match given {
+        Some(tbl) => tbl,
+        None => tbl::build(backend, scene, training, size, &TblOptions::default(), progress)?,
+    };
+    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
+    if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
+        tbl = tbl::resolve_sources(backend, scene, &atlas, &tbl, training, progress)?;
+    }
+    Ok((tbl, atlas))
 }
 
 /// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by their

@@ -10,10 +10,12 @@ use super::reflections::{self, Mirror};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::brdf::DIELECTRIC_F0;
+use crate::camera::Camera;
 use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::fit::settings::FullSettings;
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
 use crate::scene::Scene;
@@ -127,43 +129,18 @@ impl Observer<'_> {
         all: &mut Observations,
         progress: &dyn Progress,
     ) -> Result<()> {
-        let mesh = &self.scene.mesh;
         let image = view.load_image(progress)?;
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
-        let fine = view.camera.supersampled(AXIS);
-        let hits = backend.primary(&fine, fine.rows())?;
-        let strata_of = |pixel: usize| -> [usize; STRATA] {
-            let (x, y) = (pixel % view.camera.width * AXIS, pixel / view.camera.width * AXIS);
-            std::array::from_fn(|k| (y + k / AXIS) * fine.width + x + k % AXIS)
-        };
-        let lit = |hit: &Hit| hit.is_hit() && self.emitters.data[self.emitters.nearest(hit.uv(mesh))];
+        let strata = Strata::new(backend, &self.scene.mesh, &view.camera)?;
         let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
             .into_par_iter()
             .filter(|&pixel| usable.data[pixel])
-            .filter_map(|pixel| {
-                let seen = strata_of(pixel).map(|s| &hits[s]);
-                if seen.iter().any(|hit| lit(hit)) {
-                    return None;
-                }
-                let mut taps: Vec<Tap> =
-                    seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(mesh))).collect();
-                merge(&mut taps);
-                (!taps.is_empty()).then_some((pixel, taps))
-            })
+            .filter_map(|pixel| Some((pixel, strata.texels(pixel, index, self.emitters)?)))
             .collect();
-        let points_of = |pixel: usize| -> [ShadePoint; STRATA] {
-            let strata = strata_of(pixel);
-            // A stratum that misses the mesh is stood in for by one that does not: there is one.
-            let standing_in = strata.into_iter().find(|&s| hits[s].is_hit()).unwrap_or(strata[0]);
-            strata.map(|s| {
-                let s = if hits[s].is_hit() { s } else { standing_in };
-                ShadePoint::new(mesh, &fine, s as u32, &hits[s], [0.0; 3])
-            })
-        };
         let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
         let seen_by = |&(pixel, _): &(usize, Vec<Tap>)| {
-            let points = points_of(pixel);
+            let points = strata.points(pixel);
             let cosine = points.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32;
             let patch = Patch::of(&points, label(&classes, pixel));
             let distance = patch.position.distance(view.camera.position());
@@ -175,8 +152,9 @@ impl Observer<'_> {
         let edge = self.settings.block_edge(&view.camera);
         let blocks = blocks::share(&indices, &patches, view.camera.width, edge);
         let corners = &blocks.corners;
-        let mirror =
-            |(patch, corners): (&Patch, &[usize; STRATA])| Mirror::new(self.scene, *patch, &points_of(corners[0])[0]);
+        let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
+            Mirror::new(self.scene, *patch, &strata.points(corners[0])[0])
+        };
         let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
         let number = all.views.len() as u32;
         let sampling = self.settings.sampling(self.seed, number);
@@ -185,9 +163,9 @@ impl Observer<'_> {
             let mut skipped = view.camera.pixels();
             let curves: Vec<Curve> = self.checkpoints.array(step, corners.len(), || {
                 skipped -= corners.len();
-                let strata: Vec<[ShadePoint; STRATA]> =
-                    corners.par_iter().map(|pixels| std::array::from_fn(|k| points_of(pixels[k])[k])).collect();
-                backend.specular_tables(&strata, f0, sampling, progress)
+                let points: Vec<[ShadePoint; STRATA]> =
+                    corners.par_iter().map(|pixels| std::array::from_fn(|k| strata.points(pixels[k])[k])).collect();
+                backend.specular_tables(&points, f0, sampling, progress)
             })?;
             progress.advance(skipped as u64 * u64::from(sampling.rays()));
             let angle = edge as f32 * view.camera.pixel_angle();
@@ -207,6 +185,53 @@ impl Observer<'_> {
         }
         all.views.push(pixels.len());
         Ok(())
+    }
+}
+
+/// What the strata of a view's pixels hit.
+struct Strata<'a> {
+    mesh: &'a Mesh,
+    /// The view's camera, with a pixel for each stratum.
+    fine: Camera,
+    /// By pixel of that.
+    hits: Vec<Hit>,
+}
+
+impl<'a> Strata<'a> {
+    fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &Camera) -> Result<Self> {
+        let fine = camera.supersampled(AXIS);
+        let hits = backend.primary(&fine, fine.rows())?;
+        Ok(Self { mesh, fine, hits })
+    }
+
+    /// The pixels of `fine` that a pixel of the view consists of.
+    fn of(&self, pixel: usize) -> [usize; STRATA] {
+        let width = self.fine.width / AXIS;
+        let (x, y) = (pixel % width * AXIS, pixel / width * AXIS);
+        std::array::from_fn(|k| (y + k / AXIS) * self.fine.width + x + k % AXIS)
+    }
+
+    /// Shares of the texels that a pixel shows; `None` where it shows none, or a light source even in part.
+    fn texels(&self, pixel: usize, index: &TexelIndex, emitters: &Mask) -> Option<Vec<Tap>> {
+        let seen = self.of(pixel).map(|s| &self.hits[s]);
+        let lit = |hit: &Hit| hit.is_hit() && emitters.data[emitters.nearest(hit.uv(self.mesh))];
+        if seen.iter().any(|hit| lit(hit)) {
+            return None;
+        }
+        let mut taps: Vec<Tap> =
+            seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(self.mesh))).collect();
+        merge(&mut taps);
+        (!taps.is_empty()).then_some(taps)
+    }
+
+    /// The points that a pixel shows. A stratum that misses the mesh is stood in for by one that does not: there has to be one.
+    fn points(&self, pixel: usize) -> [ShadePoint; STRATA] {
+        let strata = self.of(pixel);
+        let standing_in = strata.into_iter().find(|&s| self.hits[s].is_hit()).unwrap_or(strata[0]);
+        strata.map(|s| {
+            let s = if self.hits[s].is_hit() { s } else { standing_in };
+            ShadePoint::new(self.mesh, &self.fine, s as u32, &self.hits[s], [0.0; 3])
+        })
     }
 }
 
