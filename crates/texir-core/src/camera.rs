@@ -110,6 +110,13 @@ impl Camera {
         Self { projection, width: self.width * factor, height: self.height * factor, ..*self }
     }
 
+    /// Index of part `k`, row by row, of a pixel of the view that this one was [`supersampled`](Self::supersampled) from.
+    pub(crate) fn sub_pixel(&self, factor: usize, pixel: usize, k: usize) -> usize {
+        let width = self.width / factor;
+        let (x, y) = (pixel % width * factor, pixel / width * factor);
+        (y + k / factor) * self.width + x + k % factor
+    }
+
     /// The same view with one pixel for `factor` along both axes; columns and rows that do not fill one are cut off. `None`
     /// where a panorama would not stay whole.
     pub fn reduced(&self, factor: usize) -> Option<Self> {
@@ -146,6 +153,19 @@ impl Camera {
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width * self.height
+    }
+
+    /// Whether the image's left and right side meet.
+    pub(crate) fn wraps(&self) -> bool {
+        self.projection == Projection::Equirectangular
+    }
+
+    /// Index of the pixel in a column and a row, which may lie outside: `None`, but for columns where the image
+    /// [wraps](Self::wraps).
+    pub(crate) fn pixel(&self, column: i64, row: i64) -> Option<usize> {
+        let (width, height) = (self.width as i64, self.height as i64);
+        let column = if self.wraps() { column.rem_euclid(width) } else { column };
+        ((0..width).contains(&column) && (0..height).contains(&row)).then_some((row * width + column) as usize)
     }
 
     /// All of its rows.

@@ -104,6 +104,13 @@ impl Rgb {
     }
 }
 
+impl Gray {
+    /// The value at a place in pixels, bilinear between centres: see [`Raster::around`].
+    pub(crate) fn bilinear(&self, place: DVec2, wraps: bool) -> f32 {
+        self.around(place, wraps).iter().map(|&(at, weight)| weight * self.data[at]).sum()
+    }
+}
+
 impl Mask {
     /// Pixels that both masks keep; they must have one size.
     pub fn and(&self, other: &Self) -> Self {
@@ -135,9 +142,7 @@ mod tests {
     #[test]
     fn a_look_up_is_exact_at_centres_and_wraps_or_repeats_borders() {
         let image = Gray { width: 4, height: 2, data: vec![1.0, 2.0, 4.0, 8.0, 10.0, 20.0, 40.0, 80.0] };
-        let value = |x: f64, y: f64, wraps: bool| -> f32 {
-            image.around(DVec2::new(x, y), wraps).iter().map(|&(at, weight)| weight * image.data[at]).sum()
-        };
+        let value = |x: f64, y: f64, wraps: bool| image.bilinear(DVec2::new(x, y), wraps);
         assert_eq!(value(2.5, 1.5, false), 40.0);
         assert_eq!(value(1.0, 1.0, false), (1.0 + 2.0 + 10.0 + 20.0) / 4.0);
         assert_eq!(value(1.75, 0.5, false), 0.75 * 2.0 + 0.25 * 4.0);

@@ -304,10 +304,9 @@ fn sub_pixels<'a>(
     pixels: Range<usize>,
     which: &'a [(usize, usize)],
 ) -> impl Iterator<Item = u32> + use<'a> {
-    let width = fine.width;
+    let fine = *fine;
     pixels.flat_map(move |pixel| {
-        let (x, y) = (pixel % (width / SUB_PIXELS), pixel / (width / SUB_PIXELS));
-        which.iter().map(move |(dx, dy)| ((y * SUB_PIXELS + dy) * width + x * SUB_PIXELS + dx) as u32)
+        which.iter().map(move |(dx, dy)| fine.sub_pixel(SUB_PIXELS, pixel, dy * SUB_PIXELS + dx) as u32)
     })
 }
 

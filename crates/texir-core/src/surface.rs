@@ -1,5 +1,7 @@
 //! Points on the mesh: what a ray met, and what shading needs to know there.
 
+use std::ops::{Add, Mul};
+
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
@@ -33,7 +35,11 @@ impl Hit {
 
     /// Atlas coordinates of the hit.
     pub fn uv(&self, mesh: &Mesh) -> Vec2 {
-        let [a, b, c] = mesh.corner_uvs(self.triangle);
+        self.interpolate(mesh.corner_uvs(self.triangle))
+    }
+
+    /// What lies at the hit between values at the corners of its triangle.
+    pub(crate) fn interpolate<V: Add<Output = V> + Mul<f32, Output = V>>(&self, [a, b, c]: [V; 3]) -> V {
         a * (1.0 - self.u - self.v) + b * self.u + c * self.v
     }
 }
@@ -56,11 +62,8 @@ impl SurfacePoint {
     /// The point of a hit. With `towards` (a unit direction), both normals are flipped to its side, so that a surface
     /// seen from behind is shaded on the side that is seen. Its sequence is 0.
     pub fn new(mesh: &Mesh, hit: &Hit, towards: Option<Vec3>) -> Self {
-        let w = 1.0 - hit.u - hit.v;
-        let [a, b, c] = mesh.corners(hit.triangle);
-        let [na, nb, nc] = mesh.corner_normals(hit.triangle);
         let mut face = mesh.face_normal(hit.triangle);
-        let mut normal = (na * w + nb * hit.u + nc * hit.v).normalize_or(face);
+        let mut normal = hit.interpolate(mesh.corner_normals(hit.triangle)).normalize_or(face);
         if face.dot(normal) < 0.0 {
             face = -face;
         }
@@ -68,7 +71,7 @@ impl SurfacePoint {
             face = -face;
             normal = -normal;
         }
-        let position = offset_origin(a * w + b * hit.u + c * hit.v, face);
+        let position = offset_origin(hit.interpolate(mesh.corners(hit.triangle)), face);
         Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), sequence: 0 }
     }
 

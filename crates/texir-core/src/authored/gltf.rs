@@ -243,8 +243,7 @@ impl Model {
         let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
         let uv = |set: usize| {
             let uvs = self.parts[part].uvs.get(set)?;
-            let [a, b, c] = corners.map(|i| uvs[i]);
-            Some(a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v)
+            Some(hit.interpolate(corners.map(|i| uvs[i])))
         };
         let Shading { albedo, emission, .. } = &self.shading[shading];
         [albedo.at(uv, &self.images).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::sharpen::sharpen;
 use super::{Split, View};
-use crate::camera::{Camera, Projection};
+use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::image_io::{self, read_gray, read_labels, read_mask, read_rgb, sanitise_radiance};
 use crate::progress::Progress;
@@ -58,7 +58,7 @@ impl View {
             progress.warn(&format!("{}: {found}", self.image.display()));
         }
         if self.blur > 0.0 {
-            sharpen(&mut image, self.blur, self.camera.projection == Projection::Equirectangular);
+            sharpen(&mut image, self.blur, self.camera.wraps());
         }
         let mut image = self.sized(&self.image, image, mean_pixel)?;
         for radiance in &mut image.data {

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 use super::photo;
 use super::photo::Photo;
-use super::shown::{Shown, pixels_per_radian, pixels_per_steradian};
+use super::shown::{pixels_per_radian, pixels_per_steradian};
 use crate::backend::{Backend, Projected};
-use crate::camera::{Camera, Projection};
+use crate::camera::Camera;
 use crate::capture::View;
 use crate::error::Result;
 use crate::mesh::Mesh;
@@ -119,9 +119,9 @@ struct Comparison {
 struct Points<'a> {
     mesh: &'a Mesh,
     camera: &'a Camera,
-    /// Its pixels' centres.
-    shown: Shown<'a>,
-    /// Row by row of the supersampled view.
+    /// The view with a pixel for each point.
+    fine: Camera,
+    /// By pixel of that.
     hits: Vec<Hit>,
 }
 
@@ -129,14 +129,12 @@ impl<'a> Points<'a> {
     fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &'a Camera) -> Result<Self> {
         let fine = camera.supersampled(AXIS);
         let hits = backend.primary(&fine, fine.rows())?;
-        Ok(Self { mesh, camera, shown: Shown::new(backend, mesh, camera)?, hits })
+        Ok(Self { mesh, camera, fine, hits })
     }
 
     /// The points of a pixel; `None` where one of them meets no surface.
     fn of_pixel(&self, pixel: usize) -> Option<[SurfacePoint; AXIS * AXIS]> {
-        let width = self.camera.width;
-        let (x, y) = (pixel % width * AXIS, pixel / width * AXIS);
-        let hits = std::array::from_fn(|k| &self.hits[(y + k / AXIS) * width * AXIS + x + k % AXIS]);
+        let hits = std::array::from_fn(|k| &self.hits[self.fine.sub_pixel(AXIS, pixel, k)]);
         hits.iter().all(|hit: &&Hit| hit.is_hit()).then(|| hits.map(|hit| SurfacePoint::new(self.mesh, hit, None)))
     }
 
@@ -159,10 +157,9 @@ impl<'a> Points<'a> {
         let candidates: Vec<_> = (0..image.data.len()).into_par_iter().filter_map(candidate).collect();
         let points: Vec<SurfacePoint> = candidates.iter().flat_map(|(_, _, points)| *points).collect();
         let projected = backend.project(&points, near)?;
-        let wraps = near.projection == Projection::Equirectangular;
-        let read = |at: &Projected| -> f32 {
-            let taps = nearer.around(DVec2::from(at.pixel.map(f64::from)), wraps);
-            if at.distance > 0.0 { taps.iter().map(|&(i, weight)| weight * nearer.data[i]).sum() } else { f32::NAN }
+        let read = |at: &Projected| match at.distance > 0.0 {
+            true => nearer.bilinear(DVec2::from(at.pixel.map(f64::from)), near.wraps()),
+            false => f32::NAN,
         };
         let mut predicted = vec![f32::NAN; image.data.len()];
         for ((pixel, ..), at) in candidates.iter().zip(projected.chunks(AXIS * AXIS)) {
@@ -176,7 +173,7 @@ impl<'a> Points<'a> {
         let compare = |(pixel, ratio): (usize, f32)| -> Option<Comparison> {
             let (x, y) = ((pixel % image.width) as i64, (pixel / image.width) as i64);
             let per_radian = pixels_per_radian(self.camera, y as f32 + 0.5);
-            let around = [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| self.shown.pixel(x + dx, y + dy));
+            let around = [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| self.camera.pixel(x + dx, y + dy));
             let curvature = |values: &[f32]| -> Option<f32> {
                 let around: f32 =
                     around.iter().map(|beside| beside.map(|beside| values[beside])).sum::<Option<f32>>()?;

@@ -5,14 +5,14 @@
 //! so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view moves only where
 //! that lessens its difference; what views see differently for other reasons is weighed down (Cauchy weights).
 
-use glam::{Mat4, Quat, Vec2, Vec3};
+use glam::{DVec2, Mat4, Quat, Vec3};
 use rayon::prelude::*;
 
 use super::photo;
 use super::photo::Photo;
 use crate::atlas::Atlas;
 use crate::backend::Backend;
-use crate::camera::{Camera, Projection};
+use crate::camera::Camera;
 use crate::capture::View;
 use crate::cholesky;
 use crate::error::Result;
@@ -67,7 +67,7 @@ pub(super) fn refine_photos(
             let image = log_means(&load(view)?);
             let projected = backend.project(&points, camera)?;
             let log = |at: &crate::backend::Projected| match at.distance > 0.0 && at.cosine >= MIN_COSINE {
-                true => bilinear(&image, camera, at.pixel.into()),
+                true => image.bilinear(DVec2::from(at.pixel.map(f64::from)), camera.wraps()),
                 false => f32::NAN,
             };
             shown.push(projected.iter().map(log).collect());
@@ -96,12 +96,6 @@ fn log_means(photo: &Photo) -> Gray {
     photo.image.map(|radiance| (mean_of_channels(*radiance) + BLACK).ln())
 }
 
-/// The image between pixel centres.
-fn bilinear(image: &Gray, camera: &Camera, place: Vec2) -> f32 {
-    let around = image.around(place.as_dvec2(), camera.projection == Projection::Equirectangular);
-    around.iter().map(|&(at, weight)| weight * image.data[at]).sum()
-}
-
 /// Moves a camera until it shows what is predicted, as well as a few steps allow.
 fn align(mut camera: Camera, image: &Gray, predictions: &[Prediction]) -> Camera {
     let mut error = difference(&camera, image, predictions);
@@ -126,7 +120,7 @@ fn moved(camera: &Camera, [x, y, z, a, b, c]: [f32; 6]) -> Camera {
 
 /// What the camera shows of a prediction, less the prediction, in ln L.
 fn residual(camera: &Camera, image: &Gray, &(position, log): &Prediction) -> Option<f32> {
-    let residual = bilinear(image, camera, camera.project(position)?) - log;
+    let residual = image.bilinear(camera.project(position)?.as_dvec2(), camera.wraps()) - log;
     residual.is_finite().then_some(residual)
 }
 

@@ -67,7 +67,7 @@ impl<'a> Sampler<'a> {
         let (mut sum, mut clean, mut all) = (Vec3::ZERO, 0.0, 0.0);
         let centre = Vec2::from(at.pixel);
         let masked =
-            self.shown.pixel(centre.x as i64, centre.y as i64).is_some_and(|pixel| self.photo.is_masked(pixel));
+            self.camera.pixel(centre.x as i64, centre.y as i64).is_some_and(|pixel| self.photo.is_masked(pixel));
         let range = |axis: usize| {
             (centre[axis] - reach[axis] - 0.5).ceil() as i64..=(centre[axis] + reach[axis] - 0.5).floor() as i64
         };
@@ -76,7 +76,7 @@ impl<'a> Sampler<'a> {
                 let d = (Vec2::new(x as f32, y as f32) + 0.5 - centre).abs() / reach;
                 let tent = (1.0 - d.x).max(0.0) * (1.0 - d.y).max(0.0);
                 all += tent;
-                let Some(pixel) = self.shown.pixel(x, y) else { continue };
+                let Some(pixel) = self.camera.pixel(x, y) else { continue };
                 let radiance = Vec3::from(self.photo.image.data[pixel]);
                 let usable =
                     radiance.is_finite() && radiance.min_element() >= 0.0 && self.photo.is_masked(pixel) == masked;

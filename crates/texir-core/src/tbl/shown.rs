@@ -30,21 +30,9 @@ impl<'a> Shown<'a> {
         let (hit, normal) = (self.hits[pixel], Vec3::from(point.normal));
         let slack = 0.5 * distance / pixels_per_steradian(self.camera).sqrt();
         hit.is_hit()
-            && (self.position(&hit) - Vec3::from(point.position)).dot(normal).abs() <= slack
+            && (hit.interpolate(self.mesh.corners(hit.triangle)) - Vec3::from(point.position)).dot(normal).abs()
+                <= slack
             && self.mesh.face_normal(hit.triangle).dot(normal).abs() >= SAME_NORMAL
-    }
-
-    /// World position of a hit on the mesh.
-    fn position(&self, hit: &Hit) -> Vec3 {
-        let [a, b, c] = self.mesh.corners(hit.triangle);
-        a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
-    }
-
-    /// Index of a pixel; panoramas wrap in x.
-    pub fn pixel(&self, x: i64, y: i64) -> Option<usize> {
-        let (w, h) = (self.camera.width as i64, self.camera.height as i64);
-        let x = if self.camera.projection == Projection::Equirectangular { x.rem_euclid(w) } else { x };
-        (x >= 0 && x < w && y >= 0 && y < h).then(|| (y * w + x) as usize)
     }
 }
 

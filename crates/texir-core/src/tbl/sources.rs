@@ -22,7 +22,7 @@ use super::photo::Photo;
 use super::shown::pixels_per_steradian;
 use crate::atlas::TexelIndex;
 use crate::backend::Backend;
-use crate::camera::{Camera, Projection};
+use crate::camera::Camera;
 use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::inpaint;
@@ -173,13 +173,7 @@ pub(super) fn explain_around(
 
 /// The pixel at continuous coordinates and its eight neighbours.
 fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
-    let (width, height) = (camera.width as i64, camera.height as i64);
-    let wraps = camera.projection == Projection::Equirectangular;
-    (0..9).filter_map(move |k| {
-        let (x, y) = (x as i64 + k % 3 - 1, y as i64 + k / 3 - 1);
-        let x = if wraps { x.rem_euclid(width) } else { x };
-        ((0..width).contains(&x) && (0..height).contains(&y)).then_some((y * width + x) as usize)
-    })
+    (0..9).filter_map(move |k| camera.pixel(x as i64 + k % 3 - 1, y as i64 + k / 3 - 1))
 }
 
 impl Pixels {

@@ -92,7 +92,7 @@ pub(super) fn cut(image: &Rgb, view: &Camera, crop: &Camera) -> Rgb {
             let (dx, dy) = ((sample % samples) as f32 + 0.5, (sample / samples) as f32 + 0.5);
             // Rounding may put what is at a border outside.
             if let Some(place) = view.project(crop.direction(x + dx * share, y + dy * share)) {
-                let around = image.around(place.as_dvec2(), view.projection == Projection::Equirectangular);
+                let around = image.around(place.as_dvec2(), view.wraps());
                 sum += around.iter().map(|&(at, weight)| weight * Vec3::from(image.data[at])).sum::<Vec3>();
                 seen += 1.0;
             }

@@ -113,7 +113,7 @@ pub fn witnesses(
     let candidate = |(texel, point): (usize, &SurfacePoint)| {
         let position = Vec3::from(point.position);
         let at = camera.project(position)?;
-        let pixel = shown.pixel(at.x as i64, at.y as i64)?;
+        let pixel = camera.pixel(at.x as i64, at.y as i64)?;
         let usable = mask.is_none_or(|mask| mask.data[pixel]);
         let shows = usable && shown.shows(pixel, point, position.distance(camera.position()));
         shows.then_some((texel, pixel))

@@ -206,9 +206,7 @@ impl<'a> Strata<'a> {
 
     /// The pixels of `fine` that a pixel of the view consists of.
     fn of(&self, pixel: usize) -> [usize; STRATA] {
-        let width = self.fine.width / AXIS;
-        let (x, y) = (pixel % width * AXIS, pixel / width * AXIS);
-        std::array::from_fn(|k| (y + k / AXIS) * self.fine.width + x + k % AXIS)
+        std::array::from_fn(|k| self.fine.sub_pixel(AXIS, pixel, k))
     }
 
     /// Shares of the texels that a pixel shows; `None` where it shows none, or a light source even in part.
