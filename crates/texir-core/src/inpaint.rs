@@ -130,7 +130,8 @@ impl NestedGrids {
     }
 }
 
-/// Which of the six axis directions a normal is closest to.
+/// Which of the six axis directions a normal is closest to; of several, the first. (The light tables take the last: their twin in
+/// WGSL does.)
 fn facing(normal: Vec3) -> u32 {
     let axis = normal.abs().max_position();
     2 * axis as u32 + u32::from(normal[axis] < 0.0)
