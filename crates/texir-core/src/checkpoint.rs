@@ -1,9 +1,11 @@
 //! Steps of a long computation that are kept until all of it is done, so that one that was stopped goes on where it was.
 //!
-//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed.
+//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed: a step that a lost disk
+//! or a power cut has changed does not have the sum that it was written with, and is computed again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs;
+use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};
 
 use bytemuck::Pod;
@@ -19,6 +21,8 @@ use crate::specular_table::Curve;
 
 /// Names the computation that the steps in a folder belong to.
 const IDENTITY: &str = "identity.txt";
+/// Where a step's file holds the sum of its arrays.
+const SUM: &str = "sum";
 /// Ending of a step's file.
 const ENDING: &str = "safetensors";
 
@@ -98,9 +102,16 @@ impl Checkpoints {
         Self { folder: self.folder.clone(), prefix: format!("{}{part}-", self.prefix) }
     }
 
-    /// A step that was done.
+    /// A step that was done, as it was written.
     pub fn find(&self, step: &str) -> Option<Step> {
-        fs::read(self.file(step)?).ok().map(Step)
+        let bytes = fs::read(self.file(step)?).ok()?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).ok()?;
+        let sum = header.metadata().as_ref()?.get(SUM)?;
+        let arrays = SafeTensors::deserialize(&bytes).ok()?;
+        let names = header.offset_keys();
+        let arrays: Option<BTreeMap<&str, &[u8]>> =
+            names.iter().map(|name| Some((name.as_str(), arrays.tensor(name).ok()?.data()))).collect();
+        (*sum == sum_of(arrays?.into_iter())).then_some(Step(bytes))
     }
 
     /// Keeps a step, in place of what is known of it.
@@ -112,7 +123,8 @@ impl Checkpoints {
             let view = TensorView::new(array.scalar, array.shape.clone(), array.bytes);
             views.insert(*name, view.map_err(failed)?);
         }
-        let bytes = serialize(views, None).map_err(failed)?;
+        let sum = sum_of(views.iter().map(|(name, view)| (*name, view.data())));
+        let bytes = serialize(views, Some(HashMap::from([(SUM.to_owned(), sum)]))).map_err(failed)?;
         write_atomic(&file, |sink| std::io::Write::write_all(sink, &bytes))
     }
 
@@ -159,6 +171,16 @@ impl Checkpoints {
     }
 }
 
+/// A sum over arrays in the order of their names.
+fn sum_of<'a>(arrays: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
+    let mut hasher = DefaultHasher::new();
+    for (name, bytes) in arrays {
+        hasher.write(name.as_bytes());
+        hasher.write(bytes);
+    }
+    format!("{:016x}", hasher.finish())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -186,6 +208,11 @@ mod tests {
         assert!(made(&open("b"), "one"), "of another computation");
         fs::write(folder.join("one.safetensors"), "torn").unwrap();
         assert!(made(&open("b"), "one"), "not readable");
+        let file = folder.join("one.safetensors");
+        let mut bytes = fs::read(&file).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        fs::write(&file, bytes).unwrap();
+        assert!(made(&open("b"), "one") && !made(&open("b"), "one"), "a bit has changed");
         assert!(
             open("b").array::<f32>("one", 15, || Ok(vec![])).unwrap().len() == 15 && open("b").find("two").is_none()
         );

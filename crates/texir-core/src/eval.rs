@@ -181,7 +181,15 @@ pub fn evaluate(
         let (albedo, roughness) = (read_rgb(&truth.albedo)?, read_gray(&truth.roughness)?);
         Ok(Textures { albedo, roughness, metallic: None, ..textures.clone() })
     };
-    let truth = capture.truth.as_ref().map(true_textures).transpose()?;
+    // Textures of one atlas, looked up by the coordinates of another, would be no ceiling.
+    let difference = capture.truth.as_ref().and_then(|_| renderer.mesh().atlas_difference(&capture.mesh));
+    if let Some(difference) = &difference {
+        progress.warn(&format!(
+            "the capture's true textures are left out: they belong to {}, and the mesh that is evaluated has another atlas: {difference}",
+            capture.mesh_path.display()
+        ));
+    }
+    let truth = capture.truth.as_ref().filter(|_| difference.is_none()).map(true_textures).transpose()?;
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
     progress.start("evaluating", rays, "rays");
     let mut result = Subject::new(renderer, capture, textures, progress)?;

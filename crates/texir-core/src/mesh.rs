@@ -55,6 +55,27 @@ impl Mesh {
         (a + b + c) / 3.0
     }
 
+    /// How this mesh's atlas differs from another's, if it does: textures of the one do not belong to the other then.
+    pub fn atlas_difference(&self, other: &Mesh) -> Option<String> {
+        /// Less than a texel of any atlas.
+        const SAME: f32 = 1e-5;
+        let [own, others] = [self, other].map(|mesh| mesh.triangles.len());
+        if own != others {
+            return Some(format!("it has {own} triangles, not {others}"));
+        }
+        let apart = |t: &u32| {
+            let mut corners = self.corner_uvs(*t).into_iter().zip(other.corner_uvs(*t));
+            corners.any(|(a, b)| !a.abs_diff_eq(b, SAME))
+        };
+        (0..own as u32).find(apart).map(|t| {
+            format!(
+                "its triangle {t} lies at {} in the atlas, not at {}",
+                self.corner_uvs(t)[0],
+                other.corner_uvs(t)[0]
+            )
+        })
+    }
+
     /// Axis-aligned bounds `(min, max)`.
     pub fn bounds(&self) -> (Vec3, Vec3) {
         bounds(self.positions.iter().copied())

@@ -108,6 +108,11 @@ impl<'a> Renderer<'a> {
         Ok(Self { backend, scene, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
     }
 
+    /// The mesh that views are rendered of.
+    pub fn mesh(&self) -> &Mesh {
+        &self.scene.mesh
+    }
+
     /// Rays per pixel.
     pub fn rays_per_pixel(&self) -> u32 {
         self.sampling(Masking::default()).rays() * STRATA as u32

@@ -21,9 +21,6 @@ use crate::figures;
 /// Rays per pixel of the protocol.
 pub const RAYS: u32 = 256;
 
-/// Coordinates of two files are the same up to this: less than a texel of any atlas.
-const SAME_COORDINATES: f32 = 1e-5;
-
 /// Arguments of `texir eval`.
 #[derive(Debug, Args)]
 pub struct Eval {
@@ -61,24 +58,11 @@ impl Eval {
 /// The mesh of a file, whose triangles lie in the atlas as those of `fitted` do.
 fn with_atlas_of(fitted: &Mesh, path: &Path) -> Result<Mesh, Failure> {
     let mesh = read_mesh(path)?.mesh;
-    let [found, expected] = [&mesh, fitted].map(|mesh| mesh.triangles.len());
-    if found != expected {
-        return Err(Failure::new(format!(
-            "{}: has {found} triangles; expected the {expected} of the fit's",
-            path.display()
-        )));
-    }
-    let apart = |t: &u32| {
-        let mut corners = mesh.corner_uvs(*t).into_iter().zip(fitted.corner_uvs(*t));
-        corners.any(|(a, b)| !a.abs_diff_eq(b, SAME_COORDINATES))
-    };
-    match (0..expected as u32).find(apart) {
+    match mesh.atlas_difference(fitted) {
         None => Ok(mesh),
-        Some(t) => Err(Failure::new(format!(
-            "{}: triangle {t} lies at {} in the atlas; expected {}, as in the mesh of the fit: the textures do not belong to this mesh",
-            path.display(),
-            mesh.corner_uvs(t)[0],
-            fitted.corner_uvs(t)[0],
+        Some(difference) => Err(Failure::new(format!(
+            "{}: textures of the fit do not belong to this mesh: {difference}; expected the triangles and coordinates of the fit's mesh.obj",
+            path.display()
         ))),
     }
 }

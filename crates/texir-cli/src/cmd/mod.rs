@@ -15,6 +15,7 @@ mod render;
 mod report;
 mod tbl;
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
@@ -75,8 +76,12 @@ impl Session<'_> {
         } else {
             text()
         };
-        println!("{text}");
-        Ok(())
+        match writeln!(std::io::stdout().lock(), "{text}") {
+            // Whoever reads has read enough.
+            Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+            Err(e) => Err(Failure::new(format!("the result cannot be written to standard output: {e}"))),
+            Ok(()) => Ok(()),
+        }
     }
 }
 

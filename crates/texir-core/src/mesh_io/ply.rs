@@ -13,6 +13,10 @@ use crate::error::{Error, Result};
 
 #[derive(Deserialize)]
 struct Vertex {
+    /// No file has it. Where the properties of a binary file are the first fields of a struct, serde-ply 0.2 reads these in order, and fails
+    /// at the first that the file lacks; otherwise it goes by their names.
+    #[serde(rename = "")]
+    _by_name: Option<f32>,
     x: f32,
     y: f32,
     z: f32,

@@ -158,6 +158,55 @@ fn ply_ascii_and_binary_with_every_name_of_texture_coordinates() {
     }
 }
 
+/// As scanners and other programs write them: with some properties, with others among them, and with coordinates in faces alone.
+#[test]
+fn binary_ply_of_any_properties() {
+    let square = square();
+    for properties in [
+        "x y z",
+        "x y z red",
+        "quality x y z",
+        "x y z nx ny nz",
+        "nx ny nz x y z red",
+        "x y z s t",
+        "s t x y z nx ny nz",
+    ] {
+        let names: Vec<&str> = properties.split(' ').collect();
+        for per_corner in [false, true] {
+            let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n".to_vec();
+            let kind = |name: &str| if name == "red" { "uchar" } else { "float" };
+            bytes.extend(names.iter().flat_map(|n| format!("property {} {n}\n", kind(n)).into_bytes()));
+            let corners = if per_corner { "property list uchar float texcoord\n" } else { "" };
+            bytes.extend(
+                format!("element face 1\nproperty list uchar int vertex_indices\n{corners}end_header\n").bytes(),
+            );
+            for line in PLY_VERTICES.lines() {
+                let numbers: Vec<f32> = line.split(' ').map(|n| n.parse().unwrap()).collect();
+                for name in &names {
+                    match ["x", "y", "z", "nx", "ny", "nz", "s", "t"].iter().position(|known| known == name) {
+                        Some(place) => bytes.extend(numbers[place].to_le_bytes()),
+                        None if *name == "red" => bytes.push(200),
+                        None => bytes.extend(9f32.to_le_bytes()),
+                    }
+                }
+            }
+            bytes.extend([4u8].into_iter().chain([0, 1, 2, 3].into_iter().flat_map(i32::to_le_bytes)));
+            if per_corner {
+                bytes.push(8);
+                bytes.extend([0.0, 0.5, 0.5, 0.5, 0.5, 1.0, 0.0, 1.0f32].into_iter().flat_map(f32::to_le_bytes));
+            }
+            match read_text("a.ply", bytes) {
+                Ok(read) => assert_eq!(soup(&read.mesh), soup(&square), "{properties}, per corner: {per_corner}"),
+                // Without coordinates it is read as far as to know that, and to be unwrapped.
+                Err(error) => {
+                    assert!(error.to_string().contains("no texture coordinates"), "{properties}: {error}");
+                    assert!(!per_corner && !names.contains(&"s"), "{properties}");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn ply_texture_coordinates_per_face_corner() {
     let text = |uvs: &str| {
