@@ -7,7 +7,6 @@ use texir_core::camera::{Camera, Projection};
 use texir_core::lights::Lights;
 use texir_core::mesh::Mesh;
 use texir_core::raster::Rgb;
-use texir_core::scene::Scene;
 
 /// Columns and rows of charts in the atlas of [`Builder`].
 const CHARTS: usize = 12;
@@ -141,10 +140,10 @@ pub fn smooth_light(size: usize) -> Rgb {
 }
 
 /// The lights of a radiance atlas.
-pub fn lights(backend: &mut dyn Backend, scene: &Scene, radiance: &Rgb) -> Lights {
-    let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)
+pub fn lights(backend: &mut dyn Backend, radiance: &Rgb) -> Lights {
+    let atlas = Atlas::new(backend, radiance.width, radiance.height)
         .unwrap_or_else(|e| panic!("the scene has no texel map: {e}"));
-    Lights::find(scene, &atlas, radiance)
+    Lights::find(backend.scene(), &atlas, radiance)
 }
 
 /// A panorama and a pinhole in [`furnished_room`], with poses that are not aligned to it.

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::{Mat4, Vec2, Vec3};
 use serde_json::json;
@@ -36,9 +37,9 @@ struct Lit {
     remainder: f64,
 }
 
-fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Lit {
+fn solve(backend: &mut dyn Backend, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Lit {
     let (texels, none) = (Texels::of(atlas), Checkpoints::none());
-    let solved = irradiance(backend, scene, &texels, surfaces, bounces, &none, &Silent).unwrap();
+    let solved = irradiance(backend, &texels, surfaces, bounces, &none, &Silent).unwrap();
     Lit { baked: solved.solution.into_baked().unwrap(), series: solved.series, remainder: solved.remainder }
 }
 
@@ -46,13 +47,13 @@ fn solve(backend: &mut dyn Backend, scene: &Scene, atlas: &Atlas, surfaces: &Sur
 fn a_closed_box_is_a_furnace_bounce_by_bounce() {
     let mut builder = scenes::Builder::default();
     builder.cuboid(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), true);
-    let scene = Scene::new(builder.finish()).unwrap();
+    let scene = Arc::new(Scene::new(builder.finish()).unwrap());
     let (albedo, emission) = ([0.6, 0.3, 0.1], [2.0f32, 1.0, 0.5]);
     let gpu = gpu();
     let backends: [Box<dyn Backend>; 2] =
-        [Box::new(GpuBackend::new(&gpu, &scene).unwrap()), Box::new(CpuBackend::new(&scene))];
+        [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
-        let atlas = Atlas::new(backend.as_mut(), &scene, 96, 96).unwrap();
+        let atlas = Atlas::new(backend.as_mut(), 96, 96).unwrap();
         let surfaces = Surfaces {
             albedo: Rgb::filled(96, 96, albedo),
             emission: Rgb::filled(96, 96, emission),
@@ -74,8 +75,7 @@ fn a_closed_box_is_a_furnace_bounce_by_bounce() {
         };
         let tight = Tolerance { absolute: 0.0, relative: 2e-4 };
         for most in [0, 1, 2, 4] {
-            let solved =
-                solve(backend.as_mut(), &scene, &atlas, &surfaces, &Bounces { most, tolerance: 0.0, ..BOUNCES });
+            let solved = solve(backend.as_mut(), &atlas, &surfaces, &Bounces { most, tolerance: 0.0, ..BOUNCES });
             let got = lanes(&solved);
             let expected: Vec<f64> = series(most as usize).into_iter().cycle().take(got.len()).collect();
             tight.check(&format!("{}, {most} bounces", backend.name()), &got, &expected);
@@ -84,7 +84,7 @@ fn a_closed_box_is_a_furnace_bounce_by_bounce() {
             assert!(tight.failures(&got, &more).len() > got.len() / 2);
             assert_eq!(solved.series.len(), most as usize + 1);
         }
-        let solved = solve(backend.as_mut(), &scene, &atlas, &surfaces, &BOUNCES);
+        let solved = solve(backend.as_mut(), &atlas, &surfaces, &BOUNCES);
         let closed: f64 = (0..3).map(|c| PI * f64::from(emission[c] / (1.0 - albedo[c]))).sum::<f64>() / 3.0;
         let sum: f64 = solved.series.iter().sum();
         assert!(solved.remainder <= 1e-3 && (sum / closed - 1.0).abs() < 1.5e-3, "{sum} of {closed}");
@@ -96,16 +96,15 @@ fn a_sky_lights_once_and_bounces_on() {
     // Two open planes that face each other would be noisy; one plane reflects nothing back to itself: E = πL exactly.
     let mut builder = scenes::Builder::default();
     builder.quad([Vec3::ZERO, Vec3::Z, Vec3::Z + Vec3::X, Vec3::X], [Vec3::Y; 4]);
-    let scene = Scene::new(builder.finish()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, 32, 32).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(builder.finish()).unwrap());
+    let atlas = Atlas::new(&mut backend, 32, 32).unwrap();
     let surfaces = Surfaces {
         albedo: Rgb::filled(32, 32, [0.9; 3]),
         emission: Rgb::filled(32, 32, [0.0; 3]),
         lights: vec![],
         environment: Some(Environment::constant([1.0, 2.0, 3.0]).unwrap()),
     };
-    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &BOUNCES);
+    let solved = solve(&mut backend, &atlas, &surfaces, &BOUNCES);
     let expected: Vec<f64> = solved.baked.irradiance.iter().flat_map(|_| [PI, 2.0 * PI, 3.0 * PI]).collect();
     let got: Vec<f64> = solved.baked.irradiance.iter().flatten().map(|v| f64::from(*v)).collect();
     Tolerance { absolute: 0.0, relative: 1e-5 }.check("E", &got, &expected);
@@ -222,15 +221,15 @@ impl Twin<'_> {
 fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let (document, albedo) = cornell();
     let model = load(&document, 128);
-    let scene = Scene::new(model.mesh.clone()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, model.size[0], model.size[1]).unwrap();
+    let scene = Arc::new(Scene::new(model.mesh.clone()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, model.size[0], model.size[1]).unwrap();
     let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     let gather = Gather::new(48, 48, 1);
     let bounces = Bounces { quality: Quality { gather, denoise: None, ..QUALITY }, ..BOUNCES };
-    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &bounces);
+    let solved = solve(&mut backend, &atlas, &surfaces, &bounces);
     let denoised =
-        solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { quality: Quality { gather, ..QUALITY }, ..BOUNCES });
+        solve(&mut backend, &atlas, &surfaces, &Bounces { quality: Quality { gather, ..QUALITY }, ..BOUNCES });
 
     // Two triangles per quad, in the order of the document: floor, ceiling, back, red, green, lamp, boxes.
     let material = |t: u32| [0, 0, 0, 1, 2, 3].get(t as usize / 2).copied().unwrap_or(0);
@@ -259,7 +258,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let kept = light(&denoised) / light(&solved);
     assert!((kept - 1.0).abs() < 0.01, "denoising keeps {kept} of the light");
     // Negative control: without the bounces it is darker by far more than the tolerance.
-    let direct = solve(&mut backend, &scene, &atlas, &surfaces, &Bounces { most: 0, ..bounces });
+    let direct = solve(&mut backend, &atlas, &surfaces, &Bounces { most: 0, ..bounces });
     assert!(direct.series[0] < 0.9 * solved.series.iter().sum::<f64>());
 }
 
@@ -279,9 +278,8 @@ fn square(material: serde_json::Value, image: Option<(usize, usize, Vec<[u8; 3]>
     let material = document.raw_material(material);
     document.quad(SQUARE, material, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
     let model = load(&document, 16);
-    let scene = Scene::new(model.mesh.clone()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, 16, 16).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let atlas = Atlas::new(&mut backend, 16, 16).unwrap();
     model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap()
 }
 
@@ -315,11 +313,10 @@ fn a_point_light_above_a_plane_follows_the_square_law() {
     let above = Mat4::from_translation(Vec3::new(2.0, 2.0, 2.0));
     document.light(json!({ "type": "point", "intensity": 100.0, "color": [1.0, 0.5, 0.0] }), above);
     let model = load(&document, 65);
-    let scene = Scene::new(model.mesh.clone()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, 65, 65).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let atlas = Atlas::new(&mut backend, 65, 65).unwrap();
     let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
-    let solved = solve(&mut backend, &scene, &atlas, &surfaces, &BOUNCES);
+    let solved = solve(&mut backend, &atlas, &surfaces, &BOUNCES);
     let law = |p: &SurfacePoint| {
         let way = Vec3::new(2.0, 2.0, 2.0) - Vec3::from(p.position);
         [1.0, 0.5, 0.0].map(|c| c * 100.0 * f64::from(way.y) / f64::from(way.length().powi(3)))
@@ -411,16 +408,15 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     let white = document.material([0.5; 3], [0.0; 3]);
     document.quad(SQUARE, white, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
     let model = load(&document, 16);
-    let scene = Scene::new(model.mesh.clone()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, 16, 16).unwrap();
+    let scene = Arc::new(Scene::new(model.mesh.clone()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, 16, 16).unwrap();
     let good = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     assert!(good.is_dark());
     let refuse = |surfaces: Surfaces, word: &str| {
-        let mut backend = CpuBackend::new(&scene);
-        let error =
-            irradiance(&mut backend, &scene, &Texels::of(&atlas), &surfaces, &BOUNCES, &Checkpoints::none(), &Silent)
-                .unwrap_err();
+        let mut backend = CpuBackend::new(scene.clone());
+        let error = irradiance(&mut backend, &Texels::of(&atlas), &surfaces, &BOUNCES, &Checkpoints::none(), &Silent)
+            .unwrap_err();
         assert!(error.to_string().contains(word), "{error}");
     };
     refuse(Surfaces { albedo: Rgb::filled(8, 8, [0.5; 3]), ..good.clone() }, "16×16");

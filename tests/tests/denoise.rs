@@ -56,10 +56,10 @@ fn empty() -> Scene {
 
 #[test]
 fn denoising() {
-    let (points, scene) = (points(), empty());
+    let points = points();
     let (halves, apart) = (halves(points.len()), (0..points.len()).map(|i| i % 80 > 70).collect::<Vec<_>>());
     let noisy = Noisy { points: &points, halves: &halves, apart: &apart, texel: TEXEL };
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), empty()).unwrap();
     let got = backend.denoise(noisy).unwrap();
     let twin = |noisy| cpu::denoise::denoise::<f64>(noisy).into_iter().flatten().collect::<Vec<f64>>();
     let expected = twin(noisy);
@@ -92,8 +92,7 @@ fn denoising() {
 
 #[test]
 fn points_in_any_order_and_by_themselves_pass() {
-    let scene = empty();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), empty()).unwrap();
     let nothing: Halves = [vec![], vec![]];
     assert!(backend.denoise(Noisy { points: &[], halves: &nothing, apart: &[], texel: TEXEL }).unwrap().is_empty());
     let one: Halves = [vec![[1.0; 3]], vec![[3.0; 3]]];

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::Vec3;
 use texir_core::backend::{Backend, Gather, Gathered, Material, RoughnessGradient, Sampling, ShadePoint};
@@ -19,7 +20,7 @@ use texir_tests::compare::{Tolerance, lanes3};
 use texir_tests::{gpu, scenes};
 
 /// A ground plane, facing +Y, with or without a lit box on it.
-fn ground(with_box: bool) -> Scene {
+fn ground(with_box: bool) -> Arc<Scene> {
     let mut builder = scenes::Builder::default();
     let corner = |x: f32, z: f32| Vec3::new(4.0 * x, 0.0, 4.0 * z);
     builder.quad([corner(-1.0, -1.0), corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0)], [Vec3::Y; 4]);
@@ -28,7 +29,7 @@ fn ground(with_box: bool) -> Scene {
     }
     let mut mesh = builder.finish();
     mesh.flat_normals();
-    Scene::new(mesh).unwrap()
+    Arc::new(Scene::new(mesh).unwrap())
 }
 
 /// Points on the ground.
@@ -57,7 +58,7 @@ fn an_open_plane_under_a_constant_sky_receives_pi_l() {
     let rounding = Tolerance { absolute: 0.0, relative: 2e-6 };
     let gpu = gpu();
     let backends: [Box<dyn Backend>; 2] =
-        [Box::new(GpuBackend::new(&gpu, &scene).unwrap()), Box::new(CpuBackend::new(&scene))];
+        [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
         backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
         backend.set_environment(Some(&Environment::constant(sky).unwrap())).unwrap();
@@ -81,8 +82,8 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     for y in 0..16 {
         radiance.data[y * 192 + 16..y * 192 + 32].iter_mut().flatten().for_each(|v| *v *= 20.0);
     }
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    let lights = scenes::lights(&mut backend, &scene, &radiance);
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let lights = scenes::lights(&mut backend, &radiance);
     assert!(!lights.is_empty() && !sky.bright().is_empty());
     backend.set_tbl(&radiance, &lights).unwrap();
     backend.set_environment(Some(&sky)).unwrap();
@@ -126,7 +127,7 @@ fn a_small_sun_is_found_by_few_rays() {
     let scene = ground(false);
     let points = points(&scene);
     let backends: [Box<dyn Backend>; 2] =
-        [Box::new(GpuBackend::new(&gpu, &scene).unwrap()), Box::new(CpuBackend::new(&scene))];
+        [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
         backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
         backend.set_environment(Some(&sky)).unwrap();
@@ -143,7 +144,7 @@ fn a_small_sun_is_found_by_few_rays() {
 #[test]
 fn a_mirror_shows_the_sky() {
     let scene = ground(false);
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     backend.set_tbl(&Rgb::filled(2, 2, [0.0; 3]), &Lights::none(&scene.mesh)).unwrap();
     backend.set_environment(Some(&Environment::constant([3.0, 2.0, 1.0]).unwrap())).unwrap();
     let pixels: Vec<ShadePoint> = (points(&scene).iter())

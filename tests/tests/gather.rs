@@ -2,6 +2,7 @@
 //! radiance is looked at from here or there. And what must stop one.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use texir_core::backend::{
@@ -26,10 +27,10 @@ const ROUNDING: Tolerance = Tolerance { absolute: 0.0, relative: 2e-5 };
 /// The same by another traversal, which differs in a few of thousands of hits at the edges of texels.
 const TRACED: Tolerance = Tolerance { absolute: 0.0, relative: 2e-4 };
 
-fn room() -> Scene {
+fn room() -> Arc<Scene> {
     let mut mesh = scenes::furnished_room();
     mesh.flat_normals();
-    Scene::new(mesh).unwrap()
+    Arc::new(Scene::new(mesh).unwrap())
 }
 
 fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
@@ -44,16 +45,16 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
 }
 
 /// Lights a backend by [`scenes::smooth_light`].
-fn light(backend: &mut dyn Backend, scene: &Scene) {
+fn light(backend: &mut dyn Backend) {
     let radiance = scenes::smooth_light(192);
-    let lights = scenes::lights(backend, scene, &radiance);
+    let lights = scenes::lights(backend, &radiance);
     assert!(!lights.is_empty());
     backend.set_tbl(&radiance, &lights).unwrap();
 }
 
-fn lit<'a>(gpu: &Gpu, scene: &'a Scene) -> GpuBackend<'a> {
-    let mut backend = GpuBackend::new(gpu, scene).unwrap();
-    light(&mut backend, scene);
+fn lit(gpu: &Gpu, scene: &Arc<Scene>) -> GpuBackend {
+    let mut backend = GpuBackend::new(gpu, scene.clone()).unwrap();
+    light(&mut backend);
     backend
 }
 
@@ -91,8 +92,8 @@ fn many_samples_give_the_same_sum_in_every_shape() {
     // thread would come out darker, and the host must not let that happen.
     let scene = room();
     let mut backend = lit(&gpu(), &scene);
-    let mut cpu = CpuBackend::new(&scene);
-    light(&mut cpu, &scene);
+    let mut cpu = CpuBackend::new(scene.clone());
+    light(&mut cpu);
     let points = points(&scene, 4);
     for (samples, shapes) in [(2048, vec![(1, 64)]), (4096, vec![(64, 64), (8, 64)]), (8192, vec![(64, 32), (32, 27)])]
     {
@@ -112,14 +113,14 @@ fn many_samples_give_the_same_sum_in_every_shape() {
 #[test]
 fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
     let (mesh, radiance) = scenes::room_with_strip(192);
-    let scene = Scene::new(mesh).unwrap();
+    let scene = Arc::new(Scene::new(mesh).unwrap());
     let strip = scene.mesh.triangles.len() as u32 - 2;
     let leaves = scene.bvh.primitive_indices.iter().filter(|&&t| t >= strip).count();
     assert!(leaves > 2, "the strip's triangles are in one leaf each: nothing is tested");
     let points = points(&scene, 60);
-    let mut cpu = CpuBackend::new(&scene);
-    let mut gpu = GpuBackend::new(&gpu(), &scene).unwrap();
-    let lights = scenes::lights(&mut cpu, &scene, &radiance);
+    let mut cpu = CpuBackend::new(scene.clone());
+    let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let lights = scenes::lights(&mut cpu, &radiance);
     assert!(lights.density.iter().skip(strip as usize).all(|d| d.per_area > 0.0), "the strip is no light");
     let gathered = [&mut cpu as &mut dyn Backend, &mut gpu].map(|backend| {
         backend.set_tbl(&radiance, &lights).unwrap();
@@ -134,8 +135,8 @@ fn buffers_and_textures_hold_the_same_hierarchy() {
     let scene = room();
     let points = points(&scene, 200);
     let [buffers, textures] = [Hierarchy::Buffers, Hierarchy::Textures].map(|place| {
-        let mut backend = GpuBackend::with_hierarchy(&gpu, &scene, place).unwrap();
-        light(&mut backend, &scene);
+        let mut backend = GpuBackend::with_hierarchy(&gpu, scene.clone(), place).unwrap();
+        light(&mut backend);
         let e = backend.irradiance(&points, Gather::new(64, 64, 6), &Silent).unwrap();
         (e, backend.primary(&scenes::cameras()[0], scenes::cameras()[0].rows()).unwrap())
     });
@@ -190,7 +191,7 @@ fn parts_of_a_gather_are_the_whole() {
 #[test]
 fn a_closed_room_of_one_radiance_is_a_furnace() {
     let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     backend.set_tbl(&Rgb::filled(3, 2, [2.0, 1.0, 0.25]), &Lights::none(&scene.mesh)).unwrap();
     let points = points(&scene, 300);
     let expected: Vec<f64> = points.iter().flat_map(|_| [2.0, 1.0, 0.25].map(|l| std::f64::consts::PI * l)).collect();
@@ -296,8 +297,9 @@ fn empty_work_gives_empty_results() {
 }
 
 /// What no backend may do: nothing, or fail without a word.
-fn misused(backend: &mut dyn Backend, scene: &Scene) {
-    let points = points(scene, 2);
+fn misused(backend: &mut dyn Backend) {
+    let scene = backend.scene().clone();
+    let points = points(&scene, 2);
     let one = Gather::new(1, 0, 0);
     let unlit = backend.irradiance(&points, one, &Silent).unwrap_err().to_string();
     assert!(unlit.contains("lighting"), "{unlit}");
@@ -350,9 +352,9 @@ fn misused(backend: &mut dyn Backend, scene: &Scene) {
 fn misuse_is_an_error() {
     let scene = room();
     let gpu = gpu();
-    misused(&mut CpuBackend::new(&scene), &scene);
-    let mut backend = GpuBackend::new(&gpu, &scene).unwrap();
-    misused(&mut backend, &scene);
+    misused(&mut CpuBackend::new(scene.clone()));
+    let mut backend = GpuBackend::new(&gpu, scene.clone()).unwrap();
+    misused(&mut backend);
     // Larger than the device binds or makes: an error with the figures, not a lost device.
     let (points, dark) = (points(&scene, 2), Lights::none(&scene.mesh));
     let limit = gpu.device().limits().max_texture_dimension_2d as usize;
@@ -361,4 +363,11 @@ fn misuse_is_an_error() {
     assert!(backend.irradiance(&points, Gather::new(1, 0, 0), &Silent).is_ok());
     let unknown = Gpu::headless(Some("no such adapter")).err().unwrap().to_string();
     assert!(unknown.contains("no such adapter"), "{unknown}");
+}
+
+#[test]
+fn engines_can_keep_backends() {
+    fn is_kept<T: Send + Sync + 'static>() {}
+    is_kept::<CpuBackend>();
+    is_kept::<GpuBackend>();
 }

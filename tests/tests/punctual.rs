@@ -1,6 +1,8 @@
 //! Punctual lights against their definitions, and WGSL against its twin.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::sync::Arc;
+
 use glam::{DVec3, Vec3};
 use texir_core::backend::Backend;
 use texir_core::cpu::CpuBackend;
@@ -17,12 +19,12 @@ use texir_tests::{gpu, scenes};
 const ROUNDING: Tolerance = Tolerance { absolute: 1e-6, relative: 1e-5 };
 
 /// A ground plane at y = 0, with a box hovering over a part of it.
-fn scene() -> Scene {
+fn scene() -> Arc<Scene> {
     let mut builder = scenes::Builder::default();
     let corner = |x: f32, z: f32| Vec3::new(4.0 * x, 0.0, 4.0 * z);
     builder.quad([corner(-1.0, -1.0), corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0)], [Vec3::Y; 4]);
     builder.cuboid(Vec3::new(1.0, 0.5, -3.0), Vec3::new(3.0, 0.7, 3.0), false);
-    Scene::new(builder.finish()).unwrap()
+    Arc::new(Scene::new(builder.finish()).unwrap())
 }
 
 /// Points all over the ground; the second triangle lies towards +X.
@@ -73,7 +75,7 @@ fn lights_follow_their_definitions() {
     let points: Vec<SurfacePoint> = points(&scene).into_iter().filter(|p| p.position[0] < 0.0).collect();
     let gpu = gpu();
     let backends: [Box<dyn Backend>; 2] =
-        [Box::new(GpuBackend::new(&gpu, &scene).unwrap()), Box::new(CpuBackend::new(&scene))];
+        [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
         for (light, law) in lights() {
             let got = lanes3(&backend.punctual(&points, &[light], &Silent).unwrap());
@@ -106,9 +108,9 @@ fn shadows_and_sums_are_those_of_the_twin() {
     let sun = twin(&lights[3..]);
     let shaded = sun.iter().filter(|e| **e == 0.0).count();
     assert!(shaded > 100 && shaded < sun.len() - 100, "{shaded} lanes lie in the sun's shadow");
-    let got = GpuBackend::new(&gpu(), &scene).unwrap().punctual(&points, &lights, &Silent).unwrap();
+    let got = GpuBackend::new(&gpu(), scene.clone()).unwrap().punctual(&points, &lights, &Silent).unwrap();
     ROUNDING.check("WGSL", &lanes3(&got), &expected);
-    let got = CpuBackend::new(&scene).punctual(&points, &lights, &Silent).unwrap();
+    let got = CpuBackend::new(scene.clone()).punctual(&points, &lights, &Silent).unwrap();
     ROUNDING.check("CPU", &lanes3(&got), &expected);
     // Negative control: a light that is missing is noticed.
     assert!(ROUNDING.failures(&lanes3(&got), &twin(&lights[1..])).len() > points.len());
@@ -118,7 +120,7 @@ fn shadows_and_sums_are_those_of_the_twin() {
 fn no_lights_are_dark_and_bad_ones_refused() {
     let scene = scene();
     let points = points(&scene);
-    let dark = GpuBackend::new(&gpu(), &scene).unwrap().punctual(&points, &[], &Silent).unwrap();
+    let dark = GpuBackend::new(&gpu(), scene.clone()).unwrap().punctual(&points, &[], &Silent).unwrap();
     assert!(dark.len() == points.len() && dark.iter().all(|e| *e == [0.0; 3]));
     let good = PunctualLight::point([0.0; 3], [1.0; 3]);
     good.check().unwrap();

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
 
 use glam::Vec3;
 use texir_core::backend::{Backend, RoughnessGradient, Sampling, ShadePoint};
@@ -167,16 +168,17 @@ fn a_small_lamp_shines_as_in_shading_at_every_node() {
 }
 
 /// The furnished room, flat: about an interpolated normal, some rays enter the surface that they start on.
-fn room() -> Scene {
+fn room() -> Arc<Scene> {
     let mut mesh = scenes::furnished_room();
     mesh.flat_normals();
-    Scene::new(mesh).unwrap()
+    Arc::new(Scene::new(mesh).unwrap())
 }
 
 /// Pixels of a panorama of the room, each of 2 × 2 strata.
-fn pixels(scene: &Scene, backend: &mut dyn Backend, step: usize) -> Vec<[ShadePoint; STRATA]> {
+fn pixels(backend: &mut dyn Backend, step: usize) -> Vec<[ShadePoint; STRATA]> {
     let camera = scenes::cameras()[0].supersampled(2);
     let hits = backend.primary(&camera, camera.rows()).unwrap();
+    let scene = backend.scene();
     let point = |pixel: usize| ShadePoint::new(&scene.mesh, &camera, pixel as u32, &hits[pixel], [0.0; 3]);
     (0..hits.len() / STRATA)
         .step_by(step)
@@ -198,10 +200,10 @@ const HALF: Tolerance = Tolerance { absolute: 1e-3, relative: 3e-3 };
 fn wgsl_and_twin_agree() {
     let scene = room();
     let radiance = scenes::smooth_light(192);
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    let lights = scenes::lights(&mut backend, &scene, &radiance);
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let lights = scenes::lights(&mut backend, &radiance);
     assert!(!lights.is_empty());
-    let pixels = pixels(&scene, &mut backend, 41);
+    let pixels = pixels(&mut backend, 41);
     let exact = Exhaustive(&scene.mesh);
     let lighting = Lighting { tracer: &exact, radiance: &radiance, environment: None };
     for lights in [lights, Lights::none(&scene.mesh)] {
@@ -229,12 +231,12 @@ fn wgsl_and_twin_agree() {
 #[test]
 fn lights_in_several_leaves_of_the_hierarchy_are_reflected_in_full() {
     let (mesh, radiance) = scenes::room_with_strip(192);
-    let scene = Scene::new(mesh).unwrap();
+    let scene = Arc::new(Scene::new(mesh).unwrap());
     assert!(scene.bvh.primitive_indices.len() > scene.mesh.triangles.len(), "no triangle is in two leaves");
-    let mut cpu = CpuBackend::new(&scene);
-    let mut gpu = GpuBackend::new(&gpu(), &scene).unwrap();
-    let lights = scenes::lights(&mut cpu, &scene, &radiance);
-    let pixels = pixels(&scene, &mut cpu, 61);
+    let mut cpu = CpuBackend::new(scene.clone());
+    let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let lights = scenes::lights(&mut cpu, &radiance);
+    let pixels = pixels(&mut cpu, 61);
     let sampling = TableSampling { lobe: 1, cosine: 1, light: 14, masking: Masking::Smith, seed: 4 };
     let found = [&mut cpu as &mut dyn Backend, &mut gpu].map(|backend| {
         backend.set_tbl(&radiance, &lights).unwrap();
@@ -247,17 +249,17 @@ fn lights_in_several_leaves_of_the_hierarchy_are_reflected_in_full() {
 fn how_work_is_cut_changes_nothing() {
     let scene = room();
     let radiance = scenes::smooth_light(192);
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    let lights = scenes::lights(&mut backend, &scene, &radiance);
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let lights = scenes::lights(&mut backend, &radiance);
     backend.set_tbl(&radiance, &lights).unwrap();
-    let pixels = pixels(&scene, &mut backend, 7);
+    let pixels = pixels(&mut backend, 7);
     let sampling = TableSampling { lobe: 2, cosine: 2, light: 6, masking: Masking::Smith, seed: 3 };
     let whole = backend.specular_tables(&pixels, DIELECTRIC, sampling, &Silent).unwrap();
     let pieces = pixels.chunks(53).flat_map(|p| backend.specular_tables(p, DIELECTRIC, sampling, &Silent).unwrap());
     assert!(whole == pieces.collect::<Vec<_>>());
     // More samples than one dispatch takes: all of them count.
     let sampling = TableSampling { lobe: 50, cosine: 130, light: 75, masking: Masking::Smith, seed: 3 };
-    let mut cpu = CpuBackend::new(&scene);
+    let mut cpu = CpuBackend::new(scene.clone());
     cpu.set_tbl(&radiance, &lights).unwrap();
     let expected = flat(&cpu.specular_tables(&pixels[..40], DIELECTRIC, sampling, &Silent).unwrap());
     HALF.check(

@@ -1,6 +1,8 @@
 //! Every WGSL pass against its twin in `f64`, which finds hits by testing every triangle.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Material, MaterialGrad, RoughnessGradient, Sampling, Sequences,
@@ -25,8 +27,8 @@ const TIGHT: Tolerance = Tolerance { absolute: 1e-5, relative: 1e-5 };
 /// Sums over traced rays: a ray within rounding of an edge or a texel's border sees another texel.
 const TRACED: Tolerance = Tolerance { absolute: 1e-3, relative: 2e-3 };
 
-fn room() -> Scene {
-    Scene::new(scenes::furnished_room()).unwrap()
+fn room() -> Arc<Scene> {
+    Arc::new(Scene::new(scenes::furnished_room()).unwrap())
 }
 
 fn unit(i: u32, stream: u32) -> f32 {
@@ -49,7 +51,7 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
 #[test]
 fn primary_visibility() {
     let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let exact = Exhaustive(&scene.mesh);
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera, camera.rows()).unwrap();
@@ -82,8 +84,8 @@ fn primary_visibility() {
 fn rays_that_leave_the_scene_miss() {
     let mut builder = scenes::Builder::default();
     builder.quad([Vec3::ZERO, Vec3::X, Vec3::X + Vec3::Y, Vec3::Y], [Vec3::Z; 4]);
-    let scene = Scene::new(builder.finish()).unwrap();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let scene = Arc::new(Scene::new(builder.finish()).unwrap());
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     backend.set_tbl(&scenes::smooth_light(32), &Lights::none(&scene.mesh)).unwrap();
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera, camera.rows()).unwrap();
@@ -102,7 +104,7 @@ fn rays_that_leave_the_scene_miss() {
 #[test]
 fn texel_map() {
     let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     // Not multiples of the tile, and coarse enough that charts meet within texels.
     for (width, height) in [(149, 131), (37, 20)] {
         let hits = backend.texels([width, height], 0..height).unwrap();
@@ -145,10 +147,10 @@ fn irradiance_gather() {
     // surface is hit again is a matter of rounding.
     let mut mesh = scenes::furnished_room();
     mesh.flat_normals();
-    let scene = Scene::new(mesh).unwrap();
+    let scene = Arc::new(Scene::new(mesh).unwrap());
     let light = scenes::smooth_light(192);
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    let lights = scenes::lights(&mut backend, &scene, &light);
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let lights = scenes::lights(&mut backend, &light);
     assert!(lights.triangles.len() > 10);
     backend.set_tbl(&light, &lights).unwrap();
     let points = points(&scene, 150);
@@ -178,7 +180,7 @@ fn irradiance_gather() {
 #[test]
 fn projection() {
     let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let points = points(&scene, 6000);
     let exact = Exhaustive(&scene.mesh);
     for camera in scenes::cameras() {
@@ -196,13 +198,13 @@ fn projection() {
 }
 
 /// Pixels of a panorama of the room with random materials.
-fn shading(scene: &Scene, backend: &mut GpuBackend, camera: &Camera, step: usize) -> (Vec<ShadePoint>, Vec<Material>) {
+fn shading(backend: &mut GpuBackend, camera: &Camera, step: usize) -> (Vec<ShadePoint>, Vec<Material>) {
     let hits = backend.primary(camera, camera.rows()).unwrap();
     (0..hits.len())
         .step_by(step)
         .map(|i| {
             let view = -camera.direction((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
-            let point = SurfacePoint::new(&scene.mesh, &hits[i], Some(view));
+            let point = SurfacePoint::new(&backend.scene().mesh, &hits[i], Some(view));
             let n = i as u32;
             let shade_point = ShadePoint {
                 position: point.position,
@@ -230,9 +232,9 @@ fn wide(m: &Material) -> MaterialIn<f64> {
 fn shading_and_its_jacobian() {
     let scene = room();
     let light = scenes::smooth_light(192);
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     backend.set_tbl(&light, &Lights::none(&scene.mesh)).unwrap();
-    let (points, materials) = shading(&scene, &mut backend, &scenes::cameras()[0], 17);
+    let (points, materials) = shading(&mut backend, &scenes::cameras()[0], 17);
     let exact = Exhaustive(&scene.mesh);
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let sampling = Sampling { samples: 16, seed: 5 };
@@ -260,9 +262,8 @@ fn shading_and_its_jacobian() {
 
 #[test]
 fn shading_adjoint() {
-    let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
-    let (points, materials) = shading(&scene, &mut backend, &scenes::cameras()[0], 3);
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
+    let (points, materials) = shading(&mut backend, &scenes::cameras()[0], 3);
     let n = points.len() as u32;
     let random3 = |i: u32, s: u32| [0, 1, 2].map(|c| 4.0 * unit(i, s + c) - 1.0);
     let shaded: Vec<Shaded> = (0..n)
@@ -295,8 +296,7 @@ fn shading_adjoint() {
 
 #[test]
 fn image_loss() {
-    let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
     let n = 1000u32;
     let colours = |s: u32| (0..n).map(|i| [0, 1, 2].map(|c| 5.0 * unit(i, s + c))).collect::<Vec<[f32; 3]>>();
     let (mut rendered, target) = (colours(1), colours(9));
@@ -326,8 +326,7 @@ fn groups(pixels: u32) -> Groups {
 
 #[test]
 fn group_losses() {
-    let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
     let groups = groups(1200);
     for channels in [1usize, 3] {
         // Some values are equal, some negative, and all share their leading bits with others.
@@ -351,8 +350,7 @@ fn group_losses() {
 
 #[test]
 fn groups_that_do_not_fit_are_refused() {
-    let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
     let good = groups(1200);
     let values = vec![0.5; 1200];
     let beyond = Groups { members: good.members.iter().map(|m| m + 1).collect(), ..good.clone() };
@@ -380,8 +378,7 @@ fn pyramid() -> (Pyramid, Footprints) {
 
 #[test]
 fn texture_lookup_and_its_transpose() {
-    let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
     let (pyramid, footprints) = pyramid();
     assert!(footprints.rows.row(0).len() > 16_384, "one row takes two dispatches");
     let texels = pyramid.levels[0].width * pyramid.levels[0].height;
@@ -403,8 +400,7 @@ fn texture_lookup_and_its_transpose() {
 
 #[test]
 fn footprints_that_changed_are_not_taken_for_those_kept() {
-    let scene = room();
-    let mut backend = GpuBackend::new(&gpu(), &scene).unwrap();
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
     let (pyramid, mut footprints) = pyramid();
     let texture: Vec<f32> = (0..(183 * 101)).map(|i| unit(i, 2)).collect();
     let before = backend.lookup(&pyramid, &texture, 1, &footprints.rows).unwrap();

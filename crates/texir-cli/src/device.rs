@@ -1,5 +1,7 @@
 //! Which backend runs the passes.
 
+use std::sync::Arc;
+
 use texir_core::backend::Backend;
 use texir_core::cpu::CpuBackend;
 use texir_core::scene::Scene;
@@ -9,9 +11,9 @@ use crate::args::{BackendChoice, Config};
 use crate::console::Console;
 use crate::failure::{Context, Failure};
 
-/// Opens the backend that the user asked for, or the best there is.
-pub fn open<'a>(scene: &'a Scene, config: &Config, console: &Console) -> Result<Box<dyn Backend + 'a>, Failure> {
-    let backend: Box<dyn Backend + 'a> = match find_gpu(config, console)? {
+/// Opens for a scene the backend that the user asked for, or the best there is.
+pub fn open(scene: Scene, config: &Config, console: &Console) -> Result<Box<dyn Backend>, Failure> {
+    let backend: Box<dyn Backend> = match find_gpu(config, console)? {
         Some(gpu) => Box::new(GpuBackend::new(&gpu, scene).context("the GPU backend could not be set up")?),
         None => Box::new(CpuBackend::new(scene)),
     };
@@ -19,21 +21,16 @@ pub fn open<'a>(scene: &'a Scene, config: &Config, console: &Console) -> Result<
     Ok(backend)
 }
 
-/// Opens every backend that the user lets in, the CPU first: to compare them.
-pub fn open_all<'a>(
-    scene: &'a Scene,
-    config: &Config,
-    console: &Console,
-) -> Result<Vec<Box<dyn Backend + 'a>>, Failure> {
-    let mut backends: Vec<Box<dyn Backend + 'a>> = Vec::new();
+/// Opens for a scene every backend that the user lets in, the CPU first: to compare them.
+pub fn open_all(scene: &Arc<Scene>, config: &Config, console: &Console) -> Result<Vec<Box<dyn Backend>>, Failure> {
+    let mut backends: Vec<Box<dyn Backend>> = Vec::new();
     if config.backend != BackendChoice::Gpu && config.adapter.is_none() {
-        backends.push(Box::new(CpuBackend::new(scene)));
+        backends.push(Box::new(CpuBackend::new(scene.clone())));
     }
     if config.backend != BackendChoice::Cpu {
         match Gpu::headless(config.adapter.as_deref()) {
-            Ok(gpu) => {
-                backends.push(Box::new(GpuBackend::new(&gpu, scene).context("the GPU backend could not be set up")?))
-            }
+            Ok(gpu) => backends
+                .push(Box::new(GpuBackend::new(&gpu, scene.clone()).context("the GPU backend could not be set up")?)),
             Err(error) if backends.is_empty() => return Err(error.into()),
             Err(error) => console.note(&error.to_string()),
         }

@@ -23,9 +23,8 @@ fn main() -> texir_core::error::Result<()> {
     let mut mesh = Mesh::default();
     add_square(&mut mesh, 0.0, 2.0, Vec3::Y, 0.02);
     add_square(&mut mesh, 1.5, 0.5, Vec3::NEG_Y, 0.52);
-    let scene = Scene::new(mesh)?;
-    let mut backend = CpuBackend::new(&scene);
-    let texels = Texels::map(&mut backend, &scene, [SIZE; 2], Workspace::Memory, &Silent)?;
+    let mut backend = CpuBackend::new(Scene::new(mesh)?);
+    let texels = Texels::map(&mut backend, [SIZE; 2], Workspace::Memory, &Silent)?;
 
     let is_lamp = |i: usize| i % SIZE >= SIZE / 2;
     let by_texel = |floor: [f32; 3], lamp: [f32; 3]| {
@@ -43,7 +42,7 @@ fn main() -> texir_core::error::Result<()> {
         tolerance: 0.005,
         most: 64,
     };
-    let solved = irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
+    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
     println!("mean irradiance by bounce, lux: {:.1?}", solved.series);
     write_rgb("lightmap.exr", &solved.solution.map(&texels, Buried::Fill)?)
 }

@@ -8,7 +8,6 @@ use crate::backend::Backend;
 use crate::error::{Error, Result};
 use crate::mesh::{Mesh, cross};
 use crate::raster::Raster;
-use crate::scene::Scene;
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Pyramid, Tap};
 
@@ -38,10 +37,10 @@ pub struct Atlas {
 }
 
 impl Atlas {
-    /// Maps every texel to the mesh. Errors when no texel is covered.
-    pub fn new(backend: &mut dyn Backend, scene: &Scene, width: usize, height: usize) -> Result<Self> {
+    /// Maps every texel to the backend's mesh. Errors when no texel is covered.
+    pub fn new(backend: &mut dyn Backend, width: usize, height: usize) -> Result<Self> {
         let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };
-        map(backend, scene, [width, height], |_, points, inside| {
+        map(backend, [width, height], |_, points, inside| {
             atlas.texels.extend(points.iter().map(|point| point.sequence));
             atlas.points.extend(points);
             atlas.inside.extend(inside);
@@ -99,13 +98,13 @@ impl Atlas {
 /// of these have their centre in a triangle. Errors when no texel is covered.
 pub(crate) fn map(
     backend: &mut dyn Backend,
-    scene: &Scene,
     [width, height]: [usize; 2],
     mut take: impl FnMut(Range<usize>, Vec<SurfacePoint>, Vec<bool>) -> Result<()>,
 ) -> Result<()> {
     if width == 0 || height == 0 {
         return Err(Error::invalid(format!("the atlas is {width}×{height} texels; expected at least 1×1")));
     }
+    let scene = backend.scene().clone();
     let mut any = false;
     for rows in bands(width, height, BAND) {
         let hits = backend.texels([width, height], rows.clone())?;

@@ -7,6 +7,7 @@
 pub mod check;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
@@ -20,6 +21,7 @@ use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::rng::{Z_SIDE, along_z_curve, hash2};
+use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Footprints, Pyramid, Rows};
@@ -270,10 +272,13 @@ pub struct Loss<T> {
     pub gradient: Vec<T>,
 }
 
-/// The passes, for one scene. Slices are host memory; item order is kept.
+/// The passes, for one scene that the backend keeps. Slices are host memory; item order is kept.
 pub trait Backend {
     /// The adapter or processor that runs the passes, for logs.
     fn name(&self) -> String;
+
+    /// The scene that the passes run on.
+    fn scene(&self) -> &Arc<Scene>;
 
     /// Sets the radiance texture that [`Backend::irradiance`] and [`Backend::shade`] gather (linear RGB, nearest texel;
     /// rays that miss the mesh see the environment), and the lights in it that the gather samples.

@@ -75,3 +75,6 @@ pub mod text_file;
 pub mod texture;
 #[cfg(feature = "files")]
 pub mod unwrap;
+
+/// The version whose types this crate's API has.
+pub use glam;

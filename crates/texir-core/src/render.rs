@@ -5,6 +5,7 @@
 
 use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -92,7 +93,8 @@ impl Surfaces {
 /// Renders views of one scene.
 pub struct Renderer<'a> {
     backend: &'a mut dyn Backend,
-    scene: &'a Scene,
+    /// The backend's.
+    scene: Arc<Scene>,
     /// Rays per stratum.
     rays: u32,
     seed: u32,
@@ -102,9 +104,10 @@ pub struct Renderer<'a> {
 impl<'a> Renderer<'a> {
     /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given, and which
     /// spends about `rays` rays on those of a pixel, 96 at least.
-    pub fn new(backend: &'a mut dyn Backend, scene: &'a Scene, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
-        let atlas = Atlas::new(backend, scene, radiance.width, radiance.height)?;
-        backend.set_tbl(radiance, &Lights::find(scene, &atlas, radiance))?;
+    pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
+        let atlas = Atlas::new(backend, radiance.width, radiance.height)?;
+        let scene = backend.scene().clone();
+        backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance))?;
         Ok(Self { backend, scene, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
     }
 
@@ -284,7 +287,7 @@ impl<'a> Renderer<'a> {
         if let Some(index) = known {
             return Ok(index);
         }
-        self.pyramids.push(Atlas::new(self.backend, self.scene, width, height)?.pyramid());
+        self.pyramids.push(Atlas::new(self.backend, width, height)?.pyramid());
         Ok(self.pyramids.len() - 1)
     }
 }

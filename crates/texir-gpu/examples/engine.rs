@@ -37,12 +37,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         ..Default::default()
     }))?;
 
-    let scene = Scene::new(room())?;
     let gpu = Gpu::from_device(device.clone(), queue.clone())?;
-    let mut backend = GpuBackend::new(&gpu, &scene)?;
-    let atlas = Atlas::new(&mut backend, &scene, SIZE, SIZE)?;
+    let mut backend = GpuBackend::new(&gpu, Scene::new(room())?)?;
+    let atlas = Atlas::new(&mut backend, SIZE, SIZE)?;
     let radiance = emitted(&atlas);
-    backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance))?;
+    backend.set_tbl(&radiance, &Lights::find(backend.scene(), &atlas, &radiance))?;
 
     let gather = Gather::new(64, 64, 1);
     let console = Console::default();

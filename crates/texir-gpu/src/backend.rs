@@ -1,6 +1,7 @@
 //! [`Backend`] on a wgpu device.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
@@ -28,8 +29,8 @@ use crate::pass::{
 use crate::scene::{Geometry, Hierarchy, Lighting, Sky};
 
 /// The passes in WGSL, for one scene.
-pub struct GpuBackend<'a> {
-    scene: &'a Scene,
+pub struct GpuBackend {
+    scene: Arc<Scene>,
     context: Context,
     geometry: Geometry,
     lighting: Option<Lighting>,
@@ -37,15 +38,16 @@ pub struct GpuBackend<'a> {
     cache: lookup::LookupCache,
 }
 
-impl<'a> GpuBackend<'a> {
-    /// Uploads the scene. The device's queue is used from the calling thread, and only during calls.
-    pub fn new(gpu: &Gpu, scene: &'a Scene) -> Result<Self> {
+impl GpuBackend {
+    /// Uploads the scene, which others may share. The device's queue is used from the calling thread, and only during calls.
+    pub fn new(gpu: &Gpu, scene: impl Into<Arc<Scene>>) -> Result<Self> {
         Self::with_hierarchy(gpu, scene, Hierarchy::best(gpu))
     }
 
     /// [`GpuBackend::new`] with a choice that changes speed only.
-    pub fn with_hierarchy(gpu: &Gpu, scene: &'a Scene, hierarchy: Hierarchy) -> Result<Self> {
-        let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, scene, hierarchy))?;
+    pub fn with_hierarchy(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: Hierarchy) -> Result<Self> {
+        let scene = scene.into();
+        let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);
         Ok(Self { scene, context, geometry, lighting: None, shape: None, cache: Default::default() })
     }
@@ -84,15 +86,19 @@ fn countable(items: usize) -> Result<()> {
     Err(Error::invalid(format!("{items} items in one call: at most {} can be indexed", u32::MAX)))
 }
 
-impl Backend for GpuBackend<'_> {
+impl Backend for GpuBackend {
     fn name(&self) -> String {
         self.context.gpu.describe()
+    }
+
+    fn scene(&self) -> &Arc<Scene> {
+        &self.scene
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         check::tbl(&self.scene.mesh, radiance, lights)?;
         let gpu = &self.context.gpu;
-        let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, self.scene, radiance, lights))?;
+        let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, &self.scene, radiance, lights))?;
         self.lighting = Some(lighting);
         Ok(())
     }
@@ -113,7 +119,7 @@ impl Backend for GpuBackend<'_> {
             return Ok(Vec::new());
         }
         countable(size[0] * size[1])?;
-        self.pass("texels", |b| texels::run(&mut b.context, &self.scene.mesh, size, rows))
+        self.pass("texels", |b| texels::run(&mut b.context, &b.scene.mesh, size, rows))
     }
 
     fn irradiance(

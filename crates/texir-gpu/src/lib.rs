@@ -2,8 +2,12 @@
 //!
 //! [`GpuBackend`] implements [`texir_core::backend::Backend`], which is all that the algorithms of `texir-core` need.
 //! [`Gpu::headless`] makes a device; [`Gpu::from_device`] borrows one that an engine owns (made with at least
-//! [`required_limits`]), and then nothing is set on the device, and no dispatch is much longer than a tenth of a second.
+//! [`required_limits`]), and then nothing is set on the device, and no dispatch is much longer than a tenth of a second. The
+//! engine's wgpu must be the version that is re-exported here as [`wgpu`].
 #![cfg_attr(test, allow(clippy::unwrap_used))]
+
+#[cfg(target_arch = "wasm32")]
+compile_error!("texir-gpu waits for its device, which a browser does not allow");
 
 mod backend;
 mod batch;

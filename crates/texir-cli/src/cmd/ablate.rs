@@ -104,13 +104,12 @@ impl Ablate {
             return Err(Failure::new(format!("{} has no training view", capture.root.display())));
         };
         let (albedo, roughness) = (view.load_albedo()?, view.load_roughness()?);
-        let scene = Scene::new(capture.mesh.clone())?;
-        let mut backend = device::open(&scene, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
         let mut variants = Vec::new();
         for (variant, outcome) in VARIANTS.iter().zip(outcomes) {
             let output = FitOutput::load(&self.output.join(variant.name), session.console)?;
             let (radiance, seed) = (&output.tbl.radiance, session.config.fit.seed);
-            let mut renderer = Renderer::new(backend.as_mut(), &scene, radiance, self.spp, seed)?;
+            let mut renderer = Renderer::new(backend.as_mut(), radiance, self.spp, seed)?;
             let surfaces = renderer.surfaces(&view.camera, &output.textures)?;
             let mask = surfaces.reflective();
             let error = |truth: &Gray| Picture::value_error(&surfaces.roughness, truth, &mask);

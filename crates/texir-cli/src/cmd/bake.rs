@@ -137,12 +137,13 @@ impl Bake {
             .help("leave it out: a texel holds the same without it; or bake the .glb of the fit"));
         }
         let (scene, given) = self.load(session)?;
-        let mut backend = device::open(&scene, session.config, session.console)?;
+        let mut backend = device::open(scene, session.config, session.console)?;
+        let scene = backend.scene().clone();
         let radiance = match given {
             Light::Texture(radiance) => radiance,
             Light::Views(capture) => {
                 let size = self.size.unwrap_or(texir_core::tbl::DEFAULT_SIZE);
-                tbl::build(backend.as_mut(), &scene, &capture, size, session)?.radiance
+                tbl::build(backend.as_mut(), &capture, size, session)?.radiance
             }
         };
         let size @ [width, height] = self.size.map_or([radiance.width, radiance.height], |side| [side, side]);
@@ -150,15 +151,15 @@ impl Bake {
             Some(limit) => bake::keep_within(limit, &self.partial(), &scene.mesh, radiance.data.len(), size)?,
             None => Workspace::Memory,
         };
-        let shining = Atlas::new(backend.as_mut(), &scene, radiance.width, radiance.height)?;
+        let shining = Atlas::new(backend.as_mut(), radiance.width, radiance.height)?;
         let lights = Lights::find(&scene, &shining, &radiance);
         drop(shining);
         backend.set_tbl(&radiance, &lights)?;
         let identity = bake::identity(&scene.mesh, &radiance, (backend.name(), width, height, quality));
         drop(radiance);
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
-        let texels = Texels::map(backend.as_mut(), &scene, size, workspace, session.console)?;
-        let solution = bake::solve(backend.as_mut(), &scene.mesh, &texels, &quality, &checkpoints, session.console)?;
+        let texels = Texels::map(backend.as_mut(), size, workspace, session.console)?;
+        let solution = bake::solve(backend.as_mut(), &texels, &quality, &checkpoints, session.console)?;
         self.write(&solution, &texels, session)?;
         let (buried, valid, rays) = (solution.buried()?, texels.valid(), solution.rays);
         drop((solution, texels));

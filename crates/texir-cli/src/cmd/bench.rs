@@ -1,6 +1,7 @@
 //! `texir bench`: how fast this machine gathers, so that machines can be compared.
 
 use std::collections::BinaryHeap;
+use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Args;
@@ -96,7 +97,7 @@ impl Bench {
             let mut mesh = flat.mesh.clone();
             tessellate(&mut mesh, triangles);
             let start = Instant::now();
-            let scene = Scene::new(mesh)?;
+            let scene = Arc::new(Scene::new(mesh)?);
             let build_seconds = start.elapsed().as_secs_f64();
             let hierarchy = size_of_val(&scene.bvh.nodes[..]) + size_of_val(&scene.bvh.primitive_indices[..]);
             let mut backends = device::open_all(&scene, session.config, session.console)?;
@@ -105,14 +106,11 @@ impl Bench {
             }
             if let (true, Some(first)) = (meshes.is_empty(), backends.first_mut()) {
                 let sides = ATLASES.into_iter().chain(self.large.then_some(LARGE_ATLAS));
-                let rows = sides.map(|side| bake(first.as_mut(), &scene, side, session));
+                let rows = sides.map(|side| bake(first.as_mut(), side, session));
                 atlases = rows.collect::<Result<_, _>>()?;
             }
             let rows = backends.iter_mut().map(|backend| {
-                Ok(BackendRow {
-                    name: backend.name(),
-                    rays_per_second: rays_per_second(backend.as_mut(), &scene.mesh)?,
-                })
+                Ok(BackendRow { name: backend.name(), rays_per_second: rays_per_second(backend.as_mut())? })
             });
             meshes.push(MeshRow {
                 triangles: scene.mesh.triangles.len(),
@@ -152,7 +150,9 @@ fn tessellate(mesh: &mut Mesh, triangles: usize) {
 }
 
 /// Gathers at points all over the mesh, more and more of them until it takes long enough to be measured.
-fn rays_per_second(backend: &mut dyn Backend, mesh: &Mesh) -> Result<f64, Failure> {
+fn rays_per_second(backend: &mut dyn Backend) -> Result<f64, Failure> {
+    let scene = backend.scene().clone();
+    let mesh = &scene.mesh;
     let point = |i: u32| {
         let triangle = hash(i) % mesh.triangles.len() as u32;
         let [u, v] = sobol2(i, 1).map(|x| x / 2.0);
@@ -174,9 +174,9 @@ fn rays_per_second(backend: &mut dyn Backend, mesh: &Mesh) -> Result<f64, Failur
 }
 
 /// Maps and gathers an atlas.
-fn bake(backend: &mut dyn Backend, scene: &Scene, side: usize, session: &Session<'_>) -> Result<AtlasRow, Failure> {
+fn bake(backend: &mut dyn Backend, side: usize, session: &Session<'_>) -> Result<AtlasRow, Failure> {
     let start = Instant::now();
-    let atlas = Atlas::new(backend, scene, side, side)?;
+    let atlas = Atlas::new(backend, side, side)?;
     let map_seconds = start.elapsed().as_secs_f64();
     let start = Instant::now();
     session.console.start(&format!("{side}²"), atlas.points.len() as u64 * u64::from(ATLAS_RAYS), "rays");

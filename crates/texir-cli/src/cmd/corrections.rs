@@ -32,12 +32,11 @@ impl CorrectionArgs {
         if !self.solve_exposure && !self.refine_poses && !self.sharpen {
             return Ok(None);
         }
-        let scene = Scene::new(capture.mesh.clone())?;
-        let mut backend = device::open(&scene, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
         let mut training: Vec<&mut View> = capture.views.iter_mut().filter(|v| v.split == Split::Train).collect();
         let views = |training: &[&mut View]| -> Vec<View> { training.iter().map(|v| (**v).clone()).collect() };
         if self.solve_exposure {
-            let scales = exposure::solve(backend.as_mut(), &scene, &views(&training), session.console)?;
+            let scales = exposure::solve(backend.as_mut(), &views(&training), session.console)?;
             for (view, scale) in training.iter_mut().zip(scales) {
                 view.scale = scale;
                 let [r, g, b] = scale;
@@ -45,7 +44,7 @@ impl CorrectionArgs {
             }
         }
         if self.refine_poses {
-            let poses = pose::refine(backend.as_mut(), &scene, &views(&training), session.console)?;
+            let poses = pose::refine(backend.as_mut(), &views(&training), session.console)?;
             for (view, pose) in training.iter_mut().zip(poses) {
                 let (_, turn, shift) = (view.camera.world_from_camera.inverse() * pose).to_scale_rotation_translation();
                 let degrees = 2.0 * turn.w.abs().min(1.0).acos().to_degrees();
@@ -55,7 +54,7 @@ impl CorrectionArgs {
             }
         }
         if self.sharpen {
-            let measured = blur::measure(backend.as_mut(), &scene, &views(&training), session.console)?;
+            let measured = blur::measure(backend.as_mut(), &views(&training), session.console)?;
             let blur = self.blur(measured, session);
             training.iter_mut().for_each(|view| view.blur = blur);
         }

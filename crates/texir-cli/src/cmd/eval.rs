@@ -75,10 +75,9 @@ pub fn of_output(
     session: &Session<'_>,
     show: &mut dyn FnMut(&Evaluated<'_>),
 ) -> Result<Evaluation, Failure> {
-    let scene = Scene::new(output.mesh.clone())?;
-    let mut backend = device::open(&scene, session.config, session.console)?;
+    let mut backend = device::open(Scene::new(output.mesh.clone())?, session.config, session.console)?;
     let radiance = &output.tbl.radiance;
-    let mut renderer = Renderer::new(backend.as_mut(), &scene, radiance, rays, session.config.fit.seed)?;
+    let mut renderer = Renderer::new(backend.as_mut(), radiance, rays, session.config.fit.seed)?;
     Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
 }
 

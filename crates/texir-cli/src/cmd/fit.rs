@@ -104,21 +104,18 @@ impl Fit {
 /// Fits a capture and puts the result where `staging` leads.
 pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Result<FitOutput, Failure> {
     session.console.note(&format!("{:>24}  {}", "capture", describe(capture)));
-    let scene = Scene::new(capture.mesh.clone())?;
-    let mut backend = device::open(&scene, session.config, session.console)?;
+    let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
     let mut log: Vec<EpochLog> = Vec::new();
     let fitting = &session.config.fit;
     let partial = staging.partial();
     let checkpoints =
         Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?, session.console)?;
     let FitResult { textures, confidence, tbl, plan, timings } =
-        fit::fit(backend.as_mut(), &scene, capture, fitting, &checkpoints, session.console, &mut |epoch| {
-            log.push(*epoch)
-        })
-        .inspect_err(|_| match checkpoints.any() {
-            true => session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display())),
-            false => checkpoints.clone().finish(),
-        })?;
+        fit::fit(backend.as_mut(), capture, fitting, &checkpoints, session.console, &mut |epoch| log.push(*epoch))
+            .inspect_err(|_| match checkpoints.any() {
+                true => session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display())),
+                false => checkpoints.clone().finish(),
+            })?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),
@@ -126,7 +123,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         timings,
     };
     drop(backend);
-    let output = FitOutput { mesh: scene.mesh, tbl, textures, confidence };
+    let output = FitOutput { mesh: capture.mesh.clone(), tbl, textures, confidence };
     let folder = staging.folder();
     output.save(folder)?;
     let Textures { albedo, roughness, metallic, emission, .. } = &output.textures;

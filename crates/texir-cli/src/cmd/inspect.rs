@@ -165,8 +165,8 @@ impl Inspect {
                 .help("make one with `texir import`"));
             }
             check_folder(folder, &capture.files())?;
-            let scene = Scene::new(capture.mesh.clone())?;
-            overlay::write(&mut CpuBackend::new(&scene), &capture.mesh, &capture.views, folder, session.console)?;
+            let mut backend = CpuBackend::new(Scene::new(capture.mesh.clone())?);
+            overlay::write(&mut backend, &capture.views, folder, session.console)?;
         }
         let findings = inspect(&capture, origin, session)?;
         session.print(&findings, || text(&findings))
@@ -238,14 +238,13 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
         outside_triangles: report.outside_unit_square_triangles,
         texels_per_metre: (covered_texels / area).sqrt(),
     };
-    let scene = Scene::new(mesh.clone())?;
-    let mut backend = CpuBackend::new(&scene);
-    let views = capture.views.iter().map(|view| probe(&mut backend, mesh, view)).collect::<Result<Vec<_>, _>>()?;
+    let mut backend = CpuBackend::new(Scene::new(mesh.clone())?);
+    let views = capture.views.iter().map(|view| probe(&mut backend, view)).collect::<Result<Vec<_>, _>>()?;
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
     let (low, high) = mesh.bounds();
     let mut unreadable = Vec::new();
     let blur = match origin.capture {
-        true => blur::measure(&mut backend, &scene, &training, session.console),
+        true => blur::measure(&mut backend, &training, session.console),
         false => Ok(None),
     };
     let blur = match blur {
@@ -307,7 +306,8 @@ fn area(mesh: &Mesh) -> f64 {
 }
 
 /// Looks around from a view's position.
-fn probe(backend: &mut CpuBackend<'_>, mesh: &Mesh, view: &View) -> Result<ViewFindings, Failure> {
+fn probe(backend: &mut CpuBackend, view: &View) -> Result<ViewFindings, Failure> {
+    let scene = backend.scene().clone();
     let position = view.camera.position();
     let camera = |projection, width, height| Camera {
         projection,
@@ -329,7 +329,7 @@ fn probe(backend: &mut CpuBackend<'_>, mesh: &Mesh, view: &View) -> Result<ViewF
         }
         seen += weight;
         nearest = nearest.min(hit.t);
-        if mesh.face_normal(hit.triangle).dot(around.direction(x, y)) > 0.0 {
+        if scene.mesh.face_normal(hit.triangle).dot(around.direction(x, y)) > 0.0 {
             behind += weight;
         }
     }

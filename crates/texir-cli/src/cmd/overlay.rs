@@ -26,13 +26,7 @@ const STEP: f32 = 1.1;
 const EDGE: [u8; 3] = [255, 40, 160];
 
 /// Writes one PNG per view to `folder`.
-pub fn write(
-    backend: &mut dyn Backend,
-    mesh: &Mesh,
-    views: &[View],
-    folder: &Path,
-    progress: &dyn Progress,
-) -> Result<(), Failure> {
+pub fn write(backend: &mut dyn Backend, views: &[View], folder: &Path, progress: &dyn Progress) -> Result<(), Failure> {
     progress.start("inspect: overlays", views.len() as u64, "views");
     for view in views {
         progress.check()?;
@@ -40,7 +34,8 @@ pub fn write(
         let camera = reduced(&view.camera, step);
         let image = shown(&view.load_picture(progress)?, &camera, step);
         let hits = backend.primary(&camera, camera.rows())?;
-        write_png_rgb(folder.join(format!("{}.png", view.name)), &with_edges(image, mesh, &hits))?;
+        let image = with_edges(image, &backend.scene().mesh, &hits);
+        write_png_rgb(folder.join(format!("{}.png", view.name)), &image)?;
         progress.advance(1);
     }
     progress.finish();

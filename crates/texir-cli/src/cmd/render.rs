@@ -58,10 +58,9 @@ impl Render {
         let images = views.iter().flat_map(View::files).map(|(_, path)| path.to_owned());
         check_folder(&self.output, &images.chain([self.cameras.clone(), self.out.join(SCENE)]).collect::<Vec<_>>())?;
         let output = FitOutput::load(&self.out, session.console)?;
-        let scene = Scene::new(output.mesh)?;
-        let mut backend = device::open(&scene, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(output.mesh)?, session.config, session.console)?;
         let radiance = &output.tbl.radiance;
-        let mut renderer = Renderer::new(backend.as_mut(), &scene, radiance, self.spp, session.config.fit.seed)?;
+        let mut renderer = Renderer::new(backend.as_mut(), radiance, self.spp, session.config.fit.seed)?;
         let gain = self.exposure.exp2();
         let mut written = Vec::with_capacity(views.len());
         session.console.start("rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");

@@ -53,9 +53,8 @@ impl Tbl {
         capture.tbl = None;
         check_outputs(&[&self.output], &capture.files())?;
         self.corrections.apply(&mut capture, session)?;
-        let scene = Scene::new(capture.mesh.clone())?;
-        let mut backend = device::open(&scene, session.config, session.console)?;
-        let texture = build(backend.as_mut(), &scene, &capture, self.size, session)?;
+        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
+        let texture = build(backend.as_mut(), &capture, self.size, session)?;
         texture.write(&self.output)?;
         let count = |coverage| texture.coverage.data.iter().filter(|c| **c == coverage).count();
         let summary = Summary {
@@ -75,11 +74,10 @@ impl Tbl {
 /// The texture-based lighting of a capture's training views.
 pub fn build(
     backend: &mut dyn Backend,
-    scene: &Scene,
     capture: &Capture,
     size: usize,
     session: &Session<'_>,
 ) -> Result<capture::Tbl, Failure> {
     let views: Vec<View> = capture.views(Split::Train).cloned().collect();
-    Ok(tbl::build(backend, scene, &views, (size, size), &TblOptions::default(), session.console)?)
+    Ok(tbl::build(backend, &views, (size, size), &TblOptions::default(), session.console)?)
 }

@@ -140,12 +140,11 @@ pub fn names(folder: &Path) -> Vec<String> {
 impl Room {
     fn new() -> Self {
         let (mesh, paints) = build();
-        let scene = Scene::new(mesh).unwrap();
-        let mut backend = CpuBackend::new(&scene);
-        let textures = light(&mut backend, &scene, &paints);
-        let pictures = cameras().map(|camera| shoot(&mut backend, &scene, &paints, &textures, camera)).into();
+        let mut backend = CpuBackend::new(Scene::new(mesh.clone()).unwrap());
+        let textures = light(&mut backend, &paints);
+        let pictures = cameras().map(|camera| shoot(&mut backend, &paints, &textures, camera)).into();
         let Textures { albedo, roughness, .. } = textures;
-        Self { mesh: scene.mesh, albedo, roughness, pictures }
+        Self { mesh, albedo, roughness, pictures }
     }
 
     fn write(&self, folder: &Path) {
@@ -226,15 +225,15 @@ fn cameras() -> [Camera; VIEWS.len()] {
 }
 
 /// True textures with the light of all bounces.
-fn light(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint]) -> Textures {
-    let atlas = Atlas::new(backend, scene, ATLAS, ATLAS).unwrap();
+fn light(backend: &mut CpuBackend, paints: &[Paint]) -> Textures {
+    let atlas = Atlas::new(backend, ATLAS, ATLAS).unwrap();
     let side = ATLAS / CHARTS;
     let of_chart = |i: usize| paints.get(i / ATLAS / side * CHARTS + i % ATLAS / side);
     let texels = Raster::new(ATLAS, ATLAS, (0..ATLAS * ATLAS).map(of_chart).collect()).unwrap();
     let albedo = texels.map(|paint| paint.map_or([0.0; 3], |p| p.albedo));
     let roughness = texels.map(|paint| paint.map_or(1.0, |p| p.roughness));
     let emission = texels.map(|paint| paint.map_or([0.0; 3], |p| p.emission));
-    let lights = Lights::find(scene, &atlas, &emission);
+    let lights = Lights::find(backend.scene(), &atlas, &emission);
     let mut irradiance = Rgb::filled(ATLAS, ATLAS, [0.0; 3]);
     for bounce in 0..BOUNCES {
         let radiance = outgoing(&albedo, &irradiance, &emission);
@@ -261,12 +260,12 @@ fn outgoing(albedo: &Rgb, irradiance: &Rgb, emission: &Rgb) -> Rgb {
     Rgb::new(ATLAS, ATLAS, (0..ATLAS * ATLAS).map(of_texel).collect()).unwrap()
 }
 
-fn shoot(backend: &mut CpuBackend, scene: &Scene, paints: &[Paint], textures: &Textures, camera: Camera) -> Picture {
+fn shoot(backend: &mut CpuBackend, paints: &[Paint], textures: &Textures, camera: Camera) -> Picture {
     let hits = backend.primary(&camera, camera.rows()).unwrap();
     let seen: Vec<Paint> = hits.iter().map(|hit| paints[hit.triangle as usize / 2]).collect();
     let seen = Raster::new(WIDTH, HEIGHT, seen).unwrap();
     let radiance = outgoing(&textures.albedo, &textures.irradiance, &textures.emission);
-    let mut renderer = Renderer::new(backend, scene, &radiance, 256, 1).unwrap();
+    let mut renderer = Renderer::new(backend, &radiance, 256, 1).unwrap();
     Picture {
         camera,
         image: renderer.render(&camera, textures, &Silent).unwrap(),

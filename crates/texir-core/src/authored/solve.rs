@@ -15,7 +15,6 @@ use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::rng::hash2;
-use crate::scene::Scene;
 
 /// A bounce brings less light than the one before, so that fewer rays suffice: in proportion to its share, but not fewer
 /// than this share of the first gather's.
@@ -90,7 +89,6 @@ fn darken(white: &[String]) -> String {
 /// interrupted goes on where it was, to the same bits.
 pub fn irradiance(
     backend: &mut dyn Backend,
-    scene: &Scene,
     texels: &Texels<'_>,
     surfaces: &Surfaces,
     bounces: &Bounces,
@@ -98,7 +96,7 @@ pub fn irradiance(
     progress: &dyn Progress,
 ) -> Result<Solved> {
     surfaces.check(texels)?;
-    let mut solver = Solver { backend, scene, texels, bounces, checkpoints, progress };
+    let mut solver = Solver { backend, texels, bounces, checkpoints, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
     let direct = solver.direct(surfaces);
@@ -129,7 +127,6 @@ pub fn irradiance(
 
 struct Solver<'a> {
     backend: &'a mut dyn Backend,
-    scene: &'a Scene,
     texels: &'a Texels<'a>,
     bounces: &'a Bounces,
     checkpoints: &'a Checkpoints,
@@ -166,17 +163,18 @@ impl Solver<'_> {
         // Variance in proportion to the light that a bounce brings: that of the sum is then at most `error` squared.
         let error = error.map(|error| error / share.clamp(f64::MIN_POSITIVE, 1.0).sqrt() as f32);
         let quality = Quality { gather, error, denoise };
-        set_tbl(self.backend, self.scene, self.texels, tbl)?;
+        set_tbl(self.backend, self.texels, tbl)?;
         let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
-        bake::solve(self.backend, &self.scene.mesh, self.texels, &quality, &checkpoints, self.progress)
+        bake::solve(self.backend, self.texels, &quality, &checkpoints, self.progress)
     }
 }
 
 /// Gives the backend a map of radiance, and the lights in it.
-pub(super) fn set_tbl(backend: &mut dyn Backend, scene: &Scene, texels: &Texels<'_>, tbl: &Rgb) -> Result<()> {
-    let mut lights = Finder::new(scene, tbl, texels.valid());
+pub(super) fn set_tbl(backend: &mut dyn Backend, texels: &Texels<'_>, tbl: &Rgb) -> Result<()> {
+    let mut lights = Finder::new(backend.scene(), tbl, texels.valid());
     texels.points().try_for_each(|points| points.map(|points| lights.take(&points)))?;
-    backend.set_tbl(tbl, &lights.find())
+    let lights = lights.find();
+    backend.set_tbl(tbl, &lights)
 }
 
 /// Outgoing radiance of Lambertian surfaces: albedo/π · E, of which `irradiance` tells some rows.

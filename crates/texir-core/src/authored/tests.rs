@@ -265,14 +265,13 @@ fn over() -> Mat4 {
 /// not arrive.
 fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
     let model = read_gltf(source, 32, &Silent).unwrap();
-    let scene = Scene::new(model.mesh.clone()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let texels = Texels::map(&mut backend, &scene, model.size, Workspace::Memory, &Silent).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 0, 1), error: None, denoise: None };
     let bounces = Bounces { quality, tolerance: 0.005, most };
-    let solved = irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
-    let unlit = unlit(&mut backend, &scene, &model, &texels, &surfaces, &solved.solution, &Silent).unwrap();
+    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+    let unlit = unlit(&mut backend, &model, &texels, &surfaces, &solved.solution, &Silent).unwrap();
     [solved.unfinished(&model, bounces.tolerance, asked), unlit]
 }
 

@@ -7,7 +7,6 @@ use crate::bake::{Solution, Texels};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::raster::luminance;
-use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
 /// Texels that are looked at per primitive, and of all primitives together.
@@ -28,7 +27,6 @@ const SHARE: f32 = 0.1;
 /// Replaces the backend's TBL and environment.
 pub fn unlit(
     backend: &mut dyn Backend,
-    scene: &Scene,
     model: &Model,
     texels: &Texels<'_>,
     surfaces: &Surfaces,
@@ -47,8 +45,9 @@ pub fn unlit(
     if points.is_empty() {
         return Ok(None);
     }
-    let behind: Vec<SurfacePoint> = points.iter().map(|(_, point)| point.behind(&scene.mesh)).collect();
-    let light = light_at(backend, scene, texels, surfaces, solution, &behind, progress)?;
+    let mesh = &backend.scene().mesh;
+    let behind: Vec<SurfacePoint> = points.iter().map(|(_, point)| point.behind(mesh)).collect();
+    let light = light_at(backend, texels, surfaces, solution, &behind, progress)?;
     points.iter().zip(light).for_each(|((part, _), light)| parts[*part].lit += usize::from(light >= LIT * mean));
     Ok(parts_lit_from_behind(model, &parts))
 }
@@ -101,7 +100,6 @@ fn dark_fronts(
 /// every floor as well.
 fn light_at(
     backend: &mut dyn Backend,
-    scene: &Scene,
     texels: &Texels<'_>,
     surfaces: &Surfaces,
     solution: &Solution,
@@ -111,7 +109,7 @@ fn light_at(
     let mut sent = reflected(&surfaces.albedo, |rows| solution.seen_rows(texels, solution, rows))?;
     sent.data.iter_mut().zip(&surfaces.emission.data).for_each(|(sent, own)| (0..3).for_each(|c| sent[c] += own[c]));
     backend.set_environment(None)?;
-    set_tbl(backend, scene, texels, &sent)?;
+    set_tbl(backend, texels, &sent)?;
     let per_point = u64::from(GATHER.cosine + GATHER.light) + surfaces.lights.len() as u64;
     progress.start("backs of double-sided surfaces", points.len() as u64 * per_point, "rays");
     let gathered = backend.irradiance(points, GATHER, progress)?;

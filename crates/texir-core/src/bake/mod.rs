@@ -95,13 +95,12 @@ impl Hash for Quality {
 /// With `checkpoints` of the same [`identity`], a bake that was interrupted goes on where it was, to the same bits.
 pub fn bake(
     backend: &mut dyn Backend,
-    mesh: &Mesh,
     atlas: &Atlas,
     quality: &Quality,
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    solve(backend, mesh, &Texels::of(atlas), quality, checkpoints, progress)?.into_baked()
+    solve(backend, &Texels::of(atlas), quality, checkpoints, progress)?.into_baked()
 }
 
 /// [`bake`] of a fixed number of rays, as they come: unbiased.
@@ -118,14 +117,13 @@ pub fn irradiance(
 /// [`bake`] of a fixed number of rays, with most of the noise removed.
 pub fn denoised(
     backend: &mut dyn Backend,
-    mesh: &Mesh,
     atlas: &Atlas,
     gather: Gather,
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
     let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
-    bake(backend, mesh, atlas, &quality, checkpoints, progress)
+    bake(backend, atlas, &quality, checkpoints, progress)
 }
 
 /// What a bake depends on: as long as none of it changes, its [`Checkpoints`] hold.

@@ -15,7 +15,6 @@ use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::denoise::{self, Noisy};
 use crate::error::Result;
-use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::{Raster, Rgb};
 use crate::surface::SurfacePoint;
@@ -211,7 +210,6 @@ fn sums(a: &[[f32; 3]], b: &[[f32; 3]]) -> Vec<[f32; 3]> {
 /// [`super::bake`] of texels that need not be in memory.
 pub fn solve(
     backend: &mut dyn Backend,
-    mesh: &Mesh,
     texels: &Texels<'_>,
     quality: &Quality,
     checkpoints: &Checkpoints,
@@ -225,14 +223,13 @@ pub fn solve(
         #[cfg(feature = "oidn")]
         {
             let noisy = Quality { denoise: None, ..*quality };
-            return solve(backend, mesh, texels, &noisy, checkpoints, progress)?
-                .denoised_as_a_picture(texels, progress);
+            return solve(backend, texels, &noisy, checkpoints, progress)?.denoised_as_a_picture(texels, progress);
         }
     }
     if quality.error.is_none() && quality.denoise.is_none() {
         return as_gathered(backend, texels, quality.gather, checkpoints, progress);
     }
-    let surface = Surface::new(texels, mesh, denoise::REACH.max(estimate::RADIUS))?;
+    let surface = Surface::new(texels, &backend.scene().mesh, denoise::REACH.max(estimate::RADIUS))?;
     solve_on(backend, &surface, quality, checkpoints, progress)
 }
 

@@ -1,4 +1,5 @@
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -24,7 +25,7 @@ const GATHER: Gather = Gather::new(8, 0, 3);
 const TILE: usize = 10;
 
 /// A floor, and a ceiling that shines unevenly.
-pub(super) fn two_sheets() -> (Scene, Rgb) {
+pub(super) fn two_sheets() -> (Arc<Scene>, Rgb) {
     let mut mesh = Mesh::default();
     for (height, normal, left) in [(0.0, Vec3::Z, 0.05), (1.0, -Vec3::Z, 0.55)] {
         let base = mesh.positions.len() as u32;
@@ -37,7 +38,7 @@ pub(super) fn two_sheets() -> (Scene, Rgb) {
         mesh.triangles.extend([[base, base + b, base + 2], [base, base + 2, base + d]]);
     }
     let data = (0..SIDE * SIDE).map(|i| [1.0 + (i % 7) as f32, 1.0, 0.5]).collect();
-    (Scene::new(mesh).unwrap(), Rgb { width: SIDE, height: SIDE, data })
+    (Arc::new(Scene::new(mesh).unwrap()), Rgb { width: SIDE, height: SIDE, data })
 }
 
 /// Stops after a number of rays, and remembers warnings.
@@ -62,15 +63,15 @@ impl Progress for Stop {
     }
 }
 
-pub(super) fn lit<'a>(scene: &'a Scene, radiance: &Rgb) -> CpuBackend<'a> {
-    let mut backend = CpuBackend::new(scene);
+pub(super) fn lit(scene: &Arc<Scene>, radiance: &Rgb) -> CpuBackend {
+    let mut backend = CpuBackend::new(scene.clone());
     backend.set_tbl(radiance, &Lights::none(&scene.mesh)).unwrap();
     backend
 }
 
 /// Gathers at all texels in tiles of so many points.
 fn in_tiles(
-    backend: &mut CpuBackend<'_>,
+    backend: &mut CpuBackend,
     atlas: &Atlas,
     gather: Gather,
     len: usize,
@@ -95,7 +96,7 @@ fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> 
 fn tiles_of_any_size_give_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
     let mut bake = |tile| in_tiles(&mut backend, &atlas, GATHER, tile, &Checkpoints::none(), &Silent).unwrap();
     let whole = bake(usize::MAX);
     assert!(whole.len() > 100 && whole.iter().any(|g| g.irradiance[0] > 0.1));
@@ -108,7 +109,7 @@ fn tiles_of_any_size_give_the_same_bits() {
 fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
     let whole = in_tiles(&mut backend, &atlas, GATHER, TILE, &Checkpoints::none(), &Silent).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("new/map.exr.partial");
@@ -135,7 +136,7 @@ fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
 fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let mut bake = |radiance: &Rgb, gather, stop: &Stop| {
@@ -158,13 +159,12 @@ fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
 fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, &scene, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let quality =
         Quality { gather: Gather { cosine: 256, ..GATHER }, error: Some(0.05), denoise: Some(Denoiser::Regression) };
-    let mut run =
-        |kept: &Checkpoints, progress: &dyn Progress| bake(&mut backend, &scene.mesh, &atlas, &quality, kept, progress);
+    let mut run = |kept: &Checkpoints, progress: &dyn Progress| bake(&mut backend, &atlas, &quality, kept, progress);
     let whole = run(&Checkpoints::none(), &Silent).unwrap();
     let most = 256 * atlas.points.len() as u64;
     assert!((most / 8 + 1..most).contains(&whole.rays), "{} of {most} rays", whole.rays);
@@ -182,7 +182,7 @@ const LARGE: usize = 128;
 
 /// A floor in strips, each a chart of its own, in an order that is not that of space; a rug that buries a part of it; and a
 /// ceiling that shines.
-fn strips() -> (Scene, Rgb) {
+fn strips() -> (Arc<Scene>, Rgb) {
     let mut mesh = Mesh::default();
     let mut sheet = |[x0, x1, y0, y1]: [f32; 4], height: f32, up: bool, slot: usize| {
         let (base, column, row) = (mesh.positions.len() as u32, slot % 4, slot / 4);
@@ -201,7 +201,7 @@ fn strips() -> (Scene, Rgb) {
     sheet([3.3, 5.3, 0.1, 0.9], 0.01, true, 12);
     sheet([0.0, 12.0, 0.0, 1.0], 0.5, false, 14);
     let data = (0..SIDE * SIDE).map(|i| [0.1 + (i % 7) as f32, 1.0, if i % 5 == 0 { 9.0 } else { 0.1 }]).collect();
-    (Scene::new(mesh).unwrap(), Rgb { width: SIDE, height: SIDE, data })
+    (Arc::new(Scene::new(mesh).unwrap()), Rgb { width: SIDE, height: SIDE, data })
 }
 
 /// In files, with few texels at a time.
@@ -220,10 +220,10 @@ fn maps(solution: &Solution, texels: &Texels<'_>, buried: Buried, band: usize) -
 fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let (scene, radiance) = strips();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, &scene, LARGE, LARGE).unwrap();
+    let atlas = Atlas::new(&mut backend, LARGE, LARGE).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let gather = Gather { cosine: 64, ..GATHER };
-    let mut texels = |workspace| Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent).unwrap();
+    let mut texels = |workspace| Texels::map(&mut backend, [LARGE; 2], workspace, &Silent).unwrap();
     let (memory, disk) = (texels(Workspace::Memory), texels(on_disk(folder.path())));
     assert_eq!(disk.valid(), atlas.texels.len());
     assert_eq!(disk.typical(&scene.mesh).unwrap(), atlas.typical_texel(&scene.mesh));
@@ -231,11 +231,10 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let ways = [(None, None), (None, regression), (Some(0.0), None), (Some(0.0), regression), (Some(0.2), regression)];
     for (error, denoise) in ways {
         let quality = Quality { gather, error, denoise };
-        let mut solve = |texels: &Texels<'_>| {
-            super::solve(&mut backend, &scene.mesh, texels, &quality, &Checkpoints::none(), &Silent).unwrap()
-        };
+        let mut solve =
+            |texels: &Texels<'_>| super::solve(&mut backend, texels, &quality, &Checkpoints::none(), &Silent).unwrap();
         let (in_memory, on_disk) = (solve(&memory), solve(&disk));
-        let baked = bake(&mut backend, &scene.mesh, &atlas, &quality, &Checkpoints::none(), &Silent).unwrap();
+        let baked = bake(&mut backend, &atlas, &quality, &Checkpoints::none(), &Silent).unwrap();
         let buried = baked.buried.iter().filter(|inside| **inside).count();
         assert!(buried > 10 && on_disk.buried().unwrap() == buried && on_disk.rays == baked.rays, "{quality:?}");
         for buried in [Buried::Keep, Buried::Fill] {
@@ -261,7 +260,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
 #[test]
 fn bounces_in_files_have_the_bits_of_those_in_memory() {
     let (scene, _) = strips();
-    let mut backend = CpuBackend::new(&scene);
+    let mut backend = CpuBackend::new(scene);
     let folder = tempfile::tempdir().unwrap();
     // The ceiling shines; its chart is in the last row of the atlas.
     let shines = |i: usize| if i / LARGE > LARGE * 3 / 4 { [9.0, 5.0, 2.0] } else { [0.0; 3] };
@@ -275,10 +274,9 @@ fn bounces_in_files_have_the_bits_of_those_in_memory() {
         let quality = Quality { gather: GATHER, error, denoise };
         let bounces = Bounces { quality, tolerance: 1e-3, most: 4 };
         let mut solve = |workspace| {
-            let texels = Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent).unwrap();
+            let texels = Texels::map(&mut backend, [LARGE; 2], workspace, &Silent).unwrap();
             let none = Checkpoints::none();
-            let solved =
-                authored::irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
+            let solved = authored::irradiance(&mut backend, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
             let buried = solved.solution.buried().unwrap();
             (maps(&solved.solution, &texels, Buried::Fill, 16), buried, solved.solution.rays, solved.series)
         };
@@ -298,8 +296,8 @@ fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
         Quality { gather: Gather { cosine: 128, ..GATHER }, error: Some(0.2), denoise: Some(Denoiser::Regression) };
     let open = || Checkpoints::open(&path, &identity(&scene.mesh, &radiance, quality), &Silent).unwrap();
     let mut run = |workspace: Workspace, kept: &Checkpoints, progress: &dyn Progress| -> Result<_> {
-        let texels = Texels::map(&mut backend, &scene, [LARGE; 2], workspace, &Silent)?;
-        let solution = super::solve(&mut backend, &scene.mesh, &texels, &quality, kept, progress)?;
+        let texels = Texels::map(&mut backend, [LARGE; 2], workspace, &Silent)?;
+        let solution = super::solve(&mut backend, &texels, &quality, kept, progress)?;
         Ok((maps(&solution, &texels, Buried::Keep, 16), solution.rays, texels.valid() as u64))
     };
     let (whole, rays, texels) = run(Workspace::Memory, &Checkpoints::none(), &Silent).unwrap();
@@ -327,7 +325,7 @@ fn texels_too_close_together_for_the_memory_are_an_error_that_says_what_would_do
     let mut backend = lit(&scene, &radiance);
     let folder = tempfile::tempdir().unwrap();
     let small = Workspace::Disk { folder: folder.path().to_owned(), memory: ByteSize(50 * memory::POINT) };
-    let texels = Texels::map(&mut backend, &scene, [LARGE; 2], small, &Silent).unwrap();
+    let texels = Texels::map(&mut backend, [LARGE; 2], small, &Silent).unwrap();
     let error = Surface::new(&texels, &scene.mesh, denoise::REACH).err().unwrap().to_string();
     assert!(error.contains("more memory") && error.contains("KiB"), "{error}");
 }

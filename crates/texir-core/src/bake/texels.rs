@@ -12,7 +12,6 @@ use crate::error::Result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Raster;
-use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
 /// Texels that are gone through at a time: 16 rows of the largest maps, some 20 MB.
@@ -29,17 +28,16 @@ pub struct Texels<'a> {
 }
 
 impl<'a> Texels<'a> {
-    /// Maps every texel of a map of `[width, height]` texels to the mesh. Errors when no texel is covered.
+    /// Maps every texel of a map of `[width, height]` texels to the backend's mesh. Errors when no texel is covered.
     pub fn map(
         backend: &mut dyn Backend,
-        scene: &Scene,
         size: [usize; 2],
         workspace: Workspace,
         progress: &dyn Progress,
     ) -> Result<Texels<'static>> {
         let mut texels = Texels { size, points: workspace.empty()?, rows: vec![0; size[1] + 1], workspace };
         progress.start("texels", (size[0] * size[1]) as u64, "texels");
-        atlas::map(backend, scene, size, |rows, points, _| {
+        atlas::map(backend, size, |rows, points, _| {
             progress.check()?;
             texels.count(points.iter().map(|point| point.sequence));
             texels.points.extend(&points)?;

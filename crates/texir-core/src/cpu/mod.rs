@@ -21,6 +21,7 @@ pub mod trace;
 mod tests;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -48,22 +49,22 @@ use trace::{Lighting, TraceHit};
 const CHUNK: usize = 4096;
 
 /// The passes on the host, in `f32`: for machines without a Vulkan, Metal or DirectX driver.
-pub struct CpuBackend<'a> {
-    scene: &'a Scene,
+pub struct CpuBackend {
+    scene: Arc<Scene>,
     tbl: Option<(Rgb, Lights)>,
     environment: Option<Environment>,
 }
 
-impl<'a> CpuBackend<'a> {
-    /// A backend for one scene.
-    pub fn new(scene: &'a Scene) -> Self {
-        Self { scene, tbl: None, environment: None }
+impl CpuBackend {
+    /// A backend for one scene, which others may share.
+    pub fn new(scene: impl Into<Arc<Scene>>) -> Self {
+        Self { scene: scene.into(), tbl: None, environment: None }
     }
 
     fn lighting(&self) -> Result<(Lighting<'_, Scene>, &Lights)> {
         let (radiance, lights) =
             self.tbl.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))?;
-        Ok((Lighting { tracer: self.scene, radiance, environment: self.environment.as_ref() }, lights))
+        Ok((Lighting { tracer: &*self.scene, radiance, environment: self.environment.as_ref() }, lights))
     }
 }
 
@@ -95,9 +96,13 @@ fn map_in_chunks<T: Sync, U: Send>(
     Ok(out)
 }
 
-impl Backend for CpuBackend<'_> {
+impl Backend for CpuBackend {
     fn name(&self) -> String {
         format!("CPU, {} threads", rayon::current_num_threads())
+    }
+
+    fn scene(&self) -> &Arc<Scene> {
+        &self.scene
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
@@ -113,7 +118,8 @@ impl Backend for CpuBackend<'_> {
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         let hit = |i: usize| {
-            primary::primary::<f32>(self.scene, camera, i % camera.width, i / camera.width).map_or(Hit::MISS, Hit::from)
+            primary::primary::<f32>(&*self.scene, camera, i % camera.width, i / camera.width)
+                .map_or(Hit::MISS, Hit::from)
         };
         Ok((rows.start * camera.width..rows.end * camera.width).into_par_iter().map(hit).collect())
     }
@@ -154,7 +160,7 @@ impl Backend for CpuBackend<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         map_in_chunks(points, progress, lights.len() as u64, |_, point| {
-            let sum = |sum, light| sum + punctual::punctual::<f32>(self.scene, light, point);
+            let sum = |sum, light| sum + punctual::punctual::<f32>(&*self.scene, light, point);
             lights.iter().fold(V3::zero(), sum).to_f32()
         })
     }
@@ -165,7 +171,7 @@ impl Backend for CpuBackend<'_> {
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
-        Ok(points.par_iter().map(|p| project::project::<f32>(self.scene, camera, p)).collect())
+        Ok(points.par_iter().map(|p| project::project::<f32>(&*self.scene, camera, p)).collect())
     }
 
     fn shade(

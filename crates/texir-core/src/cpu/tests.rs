@@ -1,5 +1,7 @@
 //! Derivatives against dual numbers, estimators against analytic answers, transposes against their forward maps.
 
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3};
 
 use super::group_loss::group_loss;
@@ -239,8 +241,8 @@ fn lookup_vjp_is_the_transpose_of_lookup() {
 
 #[test]
 fn a_closed_box_of_constant_radiance_is_a_furnace() {
-    let scene = Scene::new(box_room()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
+    let scene = Arc::new(Scene::new(box_room()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
     backend.set_tbl(&Rgb::filled(4, 4, [2.0, 1.0, 0.5]), &Lights::none(&scene.mesh)).unwrap();
     let hits = backend.texels([24, 8], 0..8).unwrap();
     let points: Vec<SurfacePoint> =
@@ -268,7 +270,7 @@ fn a_smooth_conductor_in_a_furnace_reflects_its_f0() {
 
 #[test]
 fn obvhs_and_the_exhaustive_search_agree() {
-    let scene = Scene::new(box_room()).unwrap();
+    let scene = Arc::new(Scene::new(box_room()).unwrap());
     let exhaustive = Exhaustive(&scene.mesh);
     for i in 0..500 {
         let [u, v] = sobol2(i, 1);
@@ -283,9 +285,9 @@ fn obvhs_and_the_exhaustive_search_agree() {
 /// The mean over points of E by light sampling against that by the cosine alone, for a room with one bright patch.
 #[test]
 fn light_samples_change_the_noise_and_not_the_mean() {
-    let scene = Scene::new(box_room()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, 24, 8).unwrap();
+    let scene = Arc::new(Scene::new(box_room()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, 24, 8).unwrap();
     // The ceiling (+Z wall, last sixth) shines.
     let mut tbl = Rgb::filled(24, 8, [0.1; 3]);
     for (i, texel) in tbl.data.iter_mut().enumerate() {

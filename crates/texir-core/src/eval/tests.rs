@@ -1,6 +1,7 @@
 //! The protocol on a closed box whose views are rendered here, so that the right figures are known.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::{Mat4, Vec2, Vec3};
 
@@ -96,10 +97,10 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
 
 /// Evaluates the true textures after `change`.
 fn evaluated(change: impl Fn(&mut Textures)) -> Evaluation {
-    let scene = Scene::new(room()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
     let radiance = textures().irradiance;
-    let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 96, 3).unwrap();
+    let mut renderer = Renderer::new(&mut backend, &radiance, 96, 3).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let capture = capture(folder.path(), &scene, &mut renderer, &textures());
     let mut result = textures();
@@ -150,9 +151,8 @@ fn the_scale_of_albedo_is_free_and_its_shape_is_not() {
 
 #[test]
 fn light_sources_and_masked_pixels_do_not_count() {
-    let scene = Scene::new(room()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let mut renderer = Renderer::new(&mut backend, &scene, &textures().irradiance, 96, 3).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(room()).unwrap());
+    let mut renderer = Renderer::new(&mut backend, &textures().irradiance, 96, 3).unwrap();
     let mut glowing = textures();
     glowing.emission.data[..48 * 8].fill([9.0; 3]);
     let surfaces = renderer.surfaces(&camera(0.5), &glowing).unwrap();
@@ -168,10 +168,10 @@ fn light_sources_and_masked_pixels_do_not_count() {
 
 #[test]
 fn views_that_are_too_small_are_named_before_any_work() {
-    let scene = Scene::new(room()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
     let radiance = textures().irradiance;
-    let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 96, 3).unwrap();
+    let mut renderer = Renderer::new(&mut backend, &radiance, 96, 3).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let mut capture = capture(folder.path(), &scene, &mut renderer, &textures());
     assert!(check_sizes(&capture).is_ok());

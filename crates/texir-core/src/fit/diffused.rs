@@ -37,6 +37,8 @@ pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use glam::Vec3;
 
     use super::*;
@@ -78,9 +80,9 @@ mod tests {
     #[test]
     fn a_wall_that_no_view_sees_and_a_floor_of_highlights_light_the_room_by_what_they_reflect() {
         const ALBEDO: f32 = 0.54;
-        let scene = Scene::new(room()).unwrap();
-        let mut backend = CpuBackend::new(&scene);
-        let atlas = Atlas::new(&mut backend, &scene, 96, 64).unwrap();
+        let scene = Arc::new(Scene::new(room()).unwrap());
+        let mut backend = CpuBackend::new(scene.clone());
+        let atlas = Atlas::new(&mut backend, 96, 64).unwrap();
         let map = |value: &dyn Fn(usize) -> f32| -> Rgb {
             let values: Vec<[f32; 3]> = (0..atlas.texels.len()).map(|i| [value(i); 3]).collect();
             atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING)
@@ -102,7 +104,7 @@ mod tests {
         };
         let none = Checkpoints::none();
         let texels = Texels::of(&atlas);
-        let truth = authored::irradiance(&mut backend, &scene, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
+        let truth = authored::irradiance(&mut backend, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
         let truth: Vec<f32> = truth.solution.into_baked().unwrap().irradiance.iter().map(|e| e[0]).collect();
 
         // The wall at x = 0 is not seen, and was taken to be three times as bright as it is; the floor's half at y < 1.5 m shines
@@ -123,7 +125,7 @@ mod tests {
         });
         let mut bake = |radiance: &Rgb| {
             backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance)).unwrap();
-            let baked = bake::denoised(&mut backend, &scene.mesh, &atlas, gather, &none, &Silent).unwrap();
+            let baked = bake::denoised(&mut backend, &atlas, gather, &none, &Silent).unwrap();
             baked.map(&atlas, Buried::Fill)
         };
         let error = |e: &Rgb| {

@@ -1,5 +1,7 @@
 //! A square of few texels seen from a handful of places: what tests of light sources look at.
 
+use std::sync::Arc;
+
 use glam::{Mat4, Vec2, Vec3};
 
 use super::adjacency::Adjacency;
@@ -20,7 +22,7 @@ const AXIS: usize = 4;
 
 /// The square [−1, 1]² at z = 0, facing up.
 pub(super) struct LitSquare {
-    pub scene: Scene,
+    pub scene: Arc<Scene>,
     pub atlas: Atlas,
     pub adjacency: Adjacency,
     folder: tempfile::TempDir,
@@ -35,14 +37,14 @@ impl LitSquare {
             uvs: square.map(|(x, y)| Vec2::new(x, y)).to_vec(),
             triangles: vec![[0, 1, 2], [0, 2, 3]],
         };
-        let scene = Scene::new(mesh).unwrap();
-        let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIDE, SIDE).unwrap();
+        let scene = Arc::new(Scene::new(mesh).unwrap());
+        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIDE, SIDE).unwrap();
         let adjacency = Adjacency::new(&scene.mesh, &atlas);
         Self { scene, atlas, adjacency, folder: tempfile::tempdir().unwrap() }
     }
 
-    pub fn backend(&self) -> CpuBackend<'_> {
-        CpuBackend::new(&self.scene)
+    pub fn backend(&self) -> CpuBackend {
+        CpuBackend::new(self.scene.clone())
     }
 
     /// Panoramas of `texture` (bilinear) from five places a metre above.

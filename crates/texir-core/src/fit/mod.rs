@@ -33,17 +33,16 @@ use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::Textures;
 use crate::rooms::{self, FloorPlan, RoomOptions};
-use crate::scene::Scene;
 use crate::tbl::{self, TblOptions};
 pub use paper::stages::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
 /// What both modes start from: the light of the scene, and where its texels are.
 pub struct Ground<'a> {
-    /// The mesh.
-    pub scene: &'a Scene,
-    /// Its texels.
+    /// The texels of the backend's scene.
     pub atlas: &'a Atlas,
+    /// Edge of a typical one on the surface, metres.
+    pub texel: f32,
     /// Which of them are neighbours.
     pub adjacency: &'a Adjacency,
     /// The texture-based lighting, as captured.
@@ -95,11 +94,10 @@ pub struct FitResult {
     pub timings: Vec<(String, f64)>,
 }
 
-/// Fits a capture. The backend is the scene's; `log` receives one entry per epoch of paper mode. With `checkpoints` of the same
+/// Fits a capture, of whose mesh the backend's scene is; `log` receives one entry per epoch of paper mode. With `checkpoints` of the same
 /// [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
 pub fn fit(
     backend: &mut dyn Backend,
-    scene: &Scene,
     capture: &Capture,
     settings: &FitSettings,
     checkpoints: &Checkpoints,
@@ -107,6 +105,7 @@ pub fn fit(
     log: &mut dyn FnMut(&EpochLog),
 ) -> Result<FitResult> {
     settings.validate()?;
+    let scene = backend.scene().clone();
     let started = Instant::now();
     let mut timings = Timings { last: started, entries: Vec::new() };
 
@@ -116,16 +115,17 @@ pub fn fit(
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let (mut tbl, atlas) = lighting(backend, scene, (capture.tbl.as_deref(), &training), settings, progress)?;
+    let (mut tbl, atlas) = lighting(backend, (capture.tbl.as_deref(), &training), settings, progress)?;
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
-    let lights = Lights::find(scene, &atlas, &tbl.radiance);
+    let lights = Lights::find(&scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
+    let texel = atlas.typical_texel(&scene.mesh);
     let gather = |rays: &u32| Gather::new(rays - rays / 2, rays / 2, settings.seed);
-    let gathers: Vec<Gather> = settings.irradiance_rays(atlas.typical_texel(&scene.mesh)).iter().map(gather).collect();
-    let irradiance = bake::denoised(backend, &scene.mesh, &atlas, gathers[0], checkpoints, progress)?
-        .map(&atlas, bake::Buried::Fill);
+    let gathers: Vec<Gather> = settings.irradiance_rays(texel).iter().map(gather).collect();
+    let irradiance =
+        bake::denoised(backend, &atlas, gathers[0], checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
@@ -137,8 +137,8 @@ pub fn fit(
         ));
     }
     let ground = Ground {
-        scene,
         atlas: &atlas,
+        texel,
         adjacency: &adjacency,
         tbl: &tbl,
         lights: &lights,
@@ -167,7 +167,6 @@ pub fn fit(
 /// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
 fn lighting(
     backend: &mut dyn Backend,
-    scene: &Scene,
     (given, training): (Option<&Path>, &[View]),
     settings: &FitSettings,
     progress: &dyn Progress,
@@ -182,11 +181,11 @@ fn lighting(
     let is_given = given.is_some();
     let mut tbl = match given {
         Some(tbl) => tbl,
-        None => tbl::build(backend, scene, training, size, &TblOptions::default(), progress)?,
+        None => tbl::build(backend, training, size, &TblOptions::default(), progress)?,
     };
-    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
+    let atlas = Atlas::new(backend, size.0, size.1)?;
     if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
-        tbl = tbl::resolve_sources(backend, scene, &atlas, &tbl, training, progress)?;
+        tbl = tbl::resolve_sources(backend, &atlas, &tbl, training, progress)?;
     }
     Ok((tbl, atlas))
 }

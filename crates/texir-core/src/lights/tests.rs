@@ -1,4 +1,5 @@
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::Vec2;
 
@@ -36,7 +37,7 @@ const SIDE: usize = 64;
 
 /// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling, the one on the
 /// right four times as bright.
-fn two_rooms() -> (Scene, Rgb) {
+fn two_rooms() -> (Arc<Scene>, Rgb) {
     let mut q = Quads::new(4);
     let (x, y, z) = (2.0 * Vec3::X, 2.0 * Vec3::Y, 2.0 * Vec3::Z);
     q.add(0, Vec3::ZERO, 2.0 * x, y);
@@ -55,11 +56,11 @@ fn two_rooms() -> (Scene, Rgb) {
         _ => [0.0; 3],
     };
     let radiance = Rgb { width: SIDE, height: SIDE, data: (0..SIDE * SIDE).map(texel).collect() };
-    (Scene::new(q.mesh).unwrap(), radiance)
+    (Arc::new(Scene::new(q.mesh).unwrap()), radiance)
 }
 
-fn atlas(scene: &Scene) -> Atlas {
-    Atlas::new(&mut CpuBackend::new(scene), scene, SIDE, SIDE).unwrap()
+fn atlas(scene: &Arc<Scene>) -> Atlas {
+    Atlas::new(&mut CpuBackend::new(scene.clone()), SIDE, SIDE).unwrap()
 }
 
 /// A point of the floor.
@@ -93,7 +94,7 @@ fn gathered(backend: &mut dyn Backend, point: &SurfacePoint, cosine: u32, light:
 fn a_rectangle_shines_as_its_form_factor_says() {
     let (scene, radiance) = two_rooms();
     let mut lights = Lights::find(&scene, &atlas(&scene), &radiance);
-    let mut backend = CpuBackend::new(&scene);
+    let mut backend = CpuBackend::new(scene.clone());
     for point in [on_floor(1.0, 1.0), on_floor(0.3, 1.6)] {
         let [x, y, _] = point.position.map(f64::from);
         let expected = PI * form_factor([x, y], [0.8, 0.8], [1.2, 1.2], 1.9 - 1e-4);

@@ -58,7 +58,8 @@ fn textures(diffuse: DiffuseModel, roughness: f32) -> Textures {
 }
 
 /// The camera's view of the scene, made of one `material`, by shading every sub-pixel.
-fn shaded(backend: &mut CpuBackend<'_>, scene: &Scene, material: Material) -> Rgb {
+fn shaded(backend: &mut CpuBackend, material: Material) -> Rgb {
+    let scene = backend.scene().clone();
     let fine = camera().supersampled(SUB_PIXELS);
     let hits = backend.primary(&fine, fine.rows()).unwrap();
     let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
@@ -80,8 +81,8 @@ fn shaded(backend: &mut CpuBackend<'_>, scene: &Scene, material: Material) -> Rg
 fn views_agree_with_shading_of_every_sub_pixel() {
     let (scene, radiance) = scene();
     let roughness = 0.3;
-    let mut backend = CpuBackend::new(&scene);
-    let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 1024, 1).unwrap();
+    let mut backend = CpuBackend::new(scene);
+    let mut renderer = Renderer::new(&mut backend, &radiance, 1024, 1).unwrap();
     let lambert = textures(DiffuseModel::Lambert, roughness);
     let burley = textures(DiffuseModel::Burley, roughness);
     let smoother = textures(DiffuseModel::Lambert, 0.15);
@@ -89,7 +90,7 @@ fn views_agree_with_shading_of_every_sub_pixel() {
     let [rendered, burley, smoother, smith] =
         renderer.render_each(&camera(), [&lambert, &burley, &smoother, &smith], &Silent).unwrap();
 
-    let expected = shaded(&mut backend, &scene, Material::dielectric([ALBEDO; 3], roughness));
+    let expected = shaded(&mut backend, Material::dielectric([ALBEDO; 3], roughness));
     let off = difference(&rendered, &expected);
     assert!(off < 0.01, "{off}");
     // Negative controls: another roughness, another diffuse model and another masking show.
@@ -101,14 +102,14 @@ fn views_agree_with_shading_of_every_sub_pixel() {
 #[test]
 fn metal_mirrors_in_its_own_colour() {
     let (scene, radiance) = scene();
-    let mut backend = CpuBackend::new(&scene);
+    let mut backend = CpuBackend::new(scene);
     let dielectric = textures(DiffuseModel::Lambert, 0.3);
     for metallic in [1.0, 0.4] {
         let metal = Textures { metallic: Some(Gray::filled(16, 8, metallic)), ..dielectric.clone() };
-        let mut renderer = Renderer::new(&mut backend, &scene, &radiance, 8192, 1).unwrap();
+        let mut renderer = Renderer::new(&mut backend, &radiance, 8192, 1).unwrap();
         let [rendered, plain] = renderer.render_each(&camera(), [&metal, &dielectric], &Silent).unwrap();
         let material = Material { metallic, ..Material::dielectric([ALBEDO; 3], 0.3) };
-        let expected = shaded(&mut backend, &scene, material);
+        let expected = shaded(&mut backend, material);
         let off = difference(&rendered, &expected);
         assert!(off < 0.02, "metallic {metallic}: {off}");
         assert!(difference(&plain, &expected) > 10.0 * off, "metallic {metallic}: {off}");

@@ -5,6 +5,8 @@
 //! narrow point spread of variance v (square pixels, along each axis) makes it I = P + v/2 ∇²P, so that v is the slope of
 //! I − P over ∇²P/2. What views see differently for other reasons (reflections) has nothing to do with ∇²P, and is weighed down.
 
+use std::sync::Arc;
+
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
@@ -15,7 +17,6 @@ use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::capture::View;
 use crate::error::Result;
-use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::{Gray, mean_of_channels};
 use crate::scene::Scene;
@@ -55,25 +56,19 @@ const BLACK: f32 = 1e-4;
 
 /// The variance of the point spread beyond that of a pixel, square pixels along each axis, which is never negative; `None` where
 /// too few surfaces with edges or texture are seen from near and from far. Large captures are judged by their first views.
-pub fn measure(
-    backend: &mut dyn Backend,
-    scene: &Scene,
-    views: &[View],
-    progress: &dyn Progress,
-) -> Result<Option<f32>> {
+pub fn measure(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Option<f32>> {
     let mut pixels = 0;
     let within = |view: &&View| {
         pixels += view.camera.pixels();
         pixels <= PIXELS
     };
     let cameras: Vec<Camera> = views.iter().take_while(within).map(|v| v.camera).collect();
-    measure_photos(backend, scene, &cameras, |i| photo(&views[i], progress), progress)
+    measure_photos(backend, &cameras, |i| photo(&views[i], progress), progress)
 }
 
 /// [`measure`] for photos that `load` gives by index.
 pub(super) fn measure_photos(
     backend: &mut dyn Backend,
-    scene: &Scene,
     cameras: &[Camera],
     mut load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
@@ -90,7 +85,7 @@ pub(super) fn measure_photos(
     let mut comparisons = Vec::new();
     for (far, (camera, image)) in cameras.iter().zip(&images).enumerate() {
         progress.check()?;
-        let points = Points::new(backend, &scene.mesh, camera)?;
+        let points = Points::new(backend, camera)?;
         for (_, near) in cameras.iter().zip(&images).enumerate().filter(|(near, _)| *near != far) {
             comparisons.extend(points.compare(backend, image, near)?);
         }
@@ -117,7 +112,7 @@ struct Comparison {
 
 /// What a view sees through [`AXIS`]² points of each of its pixels.
 struct Points<'a> {
-    mesh: &'a Mesh,
+    scene: Arc<Scene>,
     camera: &'a Camera,
     /// The view with a pixel for each point.
     fine: Camera,
@@ -126,16 +121,18 @@ struct Points<'a> {
 }
 
 impl<'a> Points<'a> {
-    fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &'a Camera) -> Result<Self> {
+    fn new(backend: &mut dyn Backend, camera: &'a Camera) -> Result<Self> {
         let fine = camera.supersampled(AXIS);
         let hits = backend.primary(&fine, fine.rows())?;
-        Ok(Self { mesh, camera, fine, hits })
+        Ok(Self { scene: backend.scene().clone(), camera, fine, hits })
     }
 
     /// The points of a pixel; `None` where one of them meets no surface.
     fn of_pixel(&self, pixel: usize) -> Option<[SurfacePoint; AXIS * AXIS]> {
         let hits = std::array::from_fn(|k| &self.hits[self.fine.sub_pixel(AXIS, pixel, k)]);
-        hits.iter().all(|hit: &&Hit| hit.is_hit()).then(|| hits.map(|hit| SurfacePoint::new(self.mesh, hit, None)))
+        hits.iter()
+            .all(|hit: &&Hit| hit.is_hit())
+            .then(|| hits.map(|hit| SurfacePoint::new(&self.scene.mesh, hit, None)))
     }
 
     /// Compares `image`, which the view shows, with a view that is nearer to some of it.

@@ -17,7 +17,6 @@ use crate::capture::View;
 use crate::cholesky;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use crate::scene::Scene;
 
 /// Side of the atlas whose texels are compared: tens of thousands of them.
 const SIDE: usize = 256;
@@ -38,25 +37,20 @@ struct Sighting {
 
 /// The factors per channel by which the views' radiance must be multiplied to agree with each other; their geometric mean is
 /// 1. A view that shares no surface with others has 1.
-pub fn solve(
-    backend: &mut dyn Backend,
-    scene: &Scene,
-    views: &[View],
-    progress: &dyn Progress,
-) -> Result<Vec<[f32; 3]>> {
+pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    solve_photos(backend, scene, &cameras, |i| photo(&views[i], progress), progress)
+    solve_photos(backend, &cameras, |i| photo(&views[i], progress), progress)
 }
 
 /// [`solve`] for photos that `load` gives by index.
 pub(super) fn solve_photos(
     backend: &mut dyn Backend,
-    scene: &Scene,
     cameras: &[Camera],
     mut load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
-    let atlas = Atlas::new(backend, scene, SIDE, SIDE)?;
+    let atlas = Atlas::new(backend, SIDE, SIDE)?;
+    let scene = backend.scene().clone();
     let options = TblOptions::default();
     let mut texels: Vec<Vec<Sighting>> = vec![Vec::new(); atlas.points.len()];
     progress.start("exposures", cameras.len() as u64, "views");
@@ -64,7 +58,7 @@ pub(super) fn solve_photos(
         progress.check()?;
         let photo = load(view)?;
         let projected = backend.project(&atlas.points, camera)?;
-        let sampler = Sampler::new(backend, &scene.mesh, camera, &photo, &options)?;
+        let sampler = Sampler::new(backend, camera, &photo, &options)?;
         texels.par_iter_mut().zip(&atlas.points).zip(&projected).for_each(|((texel, point), at)| {
             let seen = sampler.observe(point, at, atlas.texel_area(&scene.mesh, point.triangle));
             if let Some(seen) = seen.filter(|seen| !seen.masked && seen.radiance.iter().all(|r| *r > DARK)) {

@@ -95,14 +95,13 @@ const PIXELS_PER_TEXEL: usize = 8;
 /// [`Coverage::Outside`].
 pub fn build(
     backend: &mut dyn Backend,
-    scene: &Scene,
     views: &[View],
     size: (usize, usize),
     options: &TblOptions,
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    fuse(backend, scene, &cameras, |i| photo(&views[i], progress), size, options, progress)
+    fuse(backend, &cameras, |i| photo(&views[i], progress), size, options, progress)
 }
 
 /// What may be used of a view.
@@ -113,7 +112,6 @@ fn photo(view: &View, progress: &dyn Progress) -> Result<Photo> {
 /// [`build`] from images that `load` gives by index.
 fn fuse(
     backend: &mut dyn Backend,
-    scene: &Scene,
     cameras: &[Camera],
     mut load: impl FnMut(usize) -> Result<Photo>,
     size: (usize, usize),
@@ -121,8 +119,9 @@ fn fuse(
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     options.check()?;
-    let atlas = Atlas::new(backend, scene, size.0, size.1)?;
-    let fusion = Fusion { scene, atlas: &atlas, cameras, options, progress };
+    let atlas = Atlas::new(backend, size.0, size.1)?;
+    let scene = backend.scene().clone();
+    let fusion = Fusion { scene: &scene, atlas: &atlas, cameras, options, progress };
     let radiance = fusion.blend(backend, &mut load, &atlas.points)?;
     if radiance.iter().all(Option::is_none) {
         return Err(Error::invalid(format!(
@@ -137,14 +136,14 @@ fn fuse(
 /// A TBL, of the size of `atlas`, whose light sources are made to explain the pixels of `views`, as those of [`build`] are.
 pub fn resolve_sources(
     backend: &mut dyn Backend,
-    scene: &Scene,
     atlas: &Atlas,
     tbl: &Tbl,
     views: &[View],
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let fusion = Fusion { scene, atlas, cameras: &cameras, options: &TblOptions::default(), progress };
+    let scene = backend.scene().clone();
+    let fusion = Fusion { scene: &scene, atlas, cameras: &cameras, options: &TblOptions::default(), progress };
     let seen = |&t: &u32| (tbl.coverage.data[t as usize] == Coverage::Seen).then(|| tbl.radiance.data[t as usize]);
     let radiance = atlas.texels.iter().map(seen).collect();
     fusion.complete(backend, &mut |i| photo(&views[i], progress), radiance, Some(tbl))
@@ -160,6 +159,7 @@ struct Separated {
 
 /// What the views are fused into, and how.
 struct Fusion<'a> {
+    /// The backend's.
     scene: &'a Scene,
     atlas: &'a Atlas,
     cameras: &'a [Camera],
@@ -215,7 +215,7 @@ impl Fusion<'_> {
                 progress.check()?;
                 let photo = load(i)?;
                 let projected = backend.project(points, camera)?;
-                let sampler = Sampler::new(backend, &scene.mesh, camera, &photo, options)?;
+                let sampler = Sampler::new(backend, camera, &photo, options)?;
                 best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
                     let area = atlas.texel_area(&scene.mesh, point.triangle);
                     if let Some(observation) = sampler.observe(point, at, area) {

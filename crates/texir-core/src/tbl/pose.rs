@@ -18,7 +18,6 @@ use crate::cholesky;
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::raster::{Gray, mean_of_channels};
-use crate::scene::Scene;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 
@@ -43,21 +42,20 @@ const BLACK: f32 = 1e-4;
 type Prediction = (Vec3, f32);
 
 /// The views' poses (camera to world), refined.
-pub fn refine(backend: &mut dyn Backend, scene: &Scene, views: &[View], progress: &dyn Progress) -> Result<Vec<Mat4>> {
+pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Mat4>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let refined = refine_photos(backend, scene, cameras, |i| photo(&views[i], progress), progress)?;
+    let refined = refine_photos(backend, cameras, |i| photo(&views[i], progress), progress)?;
     Ok(refined.iter().map(|camera| camera.world_from_camera).collect())
 }
 
 /// [`refine`] for photos that `load` gives by index.
 pub(super) fn refine_photos(
     backend: &mut dyn Backend,
-    scene: &Scene,
     mut cameras: Vec<Camera>,
     mut load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
 ) -> Result<Vec<Camera>> {
-    let atlas = Atlas::new(backend, scene, SIDE, SIDE)?;
+    let atlas = Atlas::new(backend, SIDE, SIDE)?;
     let points: Vec<SurfacePoint> = atlas.points.iter().step_by(atlas.points.len().div_ceil(TEXELS)).copied().collect();
     progress.start("camera poses", (ROUNDS * cameras.len()) as u64, "views");
     for _ in 0..ROUNDS {

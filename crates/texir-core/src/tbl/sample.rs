@@ -8,7 +8,6 @@ use super::shown::{Shown, pixels_per_radian, pixels_per_steradian};
 use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
 use crate::surface::SurfacePoint;
 
 /// The filter is no wider than this many pixels to either side.
@@ -37,7 +36,6 @@ impl<'a> Sampler<'a> {
     /// Traces the view's pixels. The image must have the camera's size.
     pub fn new(
         backend: &mut dyn Backend,
-        mesh: &'a Mesh,
         camera: &'a Camera,
         photo: &'a Photo,
         options: &'a TblOptions,
@@ -49,7 +47,7 @@ impl<'a> Sampler<'a> {
                 (camera.width, camera.height)
             )));
         }
-        Ok(Self { camera, photo, shown: Shown::new(backend, mesh, camera)?, options })
+        Ok(Self { camera, photo, shown: Shown::new(backend, camera)?, options })
     }
 
     /// What the view shows of a point that projects to `at`; `area` is the texel's, m². `None` if it cannot tell.

@@ -1,5 +1,7 @@
 //! A room whose walls shine in a known pattern, seen by cameras through primary hits.
 
+use std::sync::Arc;
+
 use glam::{Mat4, Vec2, Vec3};
 
 use super::*;
@@ -71,8 +73,8 @@ fn cameras() -> Vec<Camera> {
 }
 
 /// The image that a camera sees where the surface shines as `radiance(position, direction to the camera)`.
-fn photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
-    let hits = CpuBackend::new(scene).primary(camera, camera.rows()).unwrap();
+fn photograph(scene: &Arc<Scene>, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
+    let hits = CpuBackend::new(scene.clone()).primary(camera, camera.rows()).unwrap();
     let pixel = |i: usize| {
         let (x, y) = ((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
         let direction = camera.direction(x, y);
@@ -81,10 +83,9 @@ fn photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [
     Rgb::new(camera.width, camera.height, (0..hits.len()).map(pixel).collect()).unwrap()
 }
 
-fn fuse_images(scene: &Scene, cameras: &[Camera], images: &[Rgb], options: &TblOptions) -> Tbl {
+fn fuse_images(scene: &Arc<Scene>, cameras: &[Camera], images: &[Rgb], options: &TblOptions) -> Tbl {
     fuse(
-        &mut CpuBackend::new(scene),
-        scene,
+        &mut CpuBackend::new(scene.clone()),
         cameras,
         |i| Ok(Photo::new(images[i].clone(), None)),
         SIZE,
@@ -95,8 +96,8 @@ fn fuse_images(scene: &Scene, cameras: &[Camera], images: &[Rgb], options: &TblO
 }
 
 /// Mean relative error of the texels that `kind` covers.
-fn error(scene: &Scene, tbl: &Tbl, kind: Coverage, truth: impl Fn(Vec3) -> [f32; 3]) -> f32 {
-    let atlas = Atlas::new(&mut CpuBackend::new(scene), scene, SIZE.0, SIZE.1).unwrap();
+fn error(scene: &Arc<Scene>, tbl: &Tbl, kind: Coverage, truth: impl Fn(Vec3) -> [f32; 3]) -> f32 {
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
     let errors: Vec<f32> = atlas
         .texels
         .iter()
@@ -113,7 +114,7 @@ fn error(scene: &Scene, tbl: &Tbl, kind: Coverage, truth: impl Fn(Vec3) -> [f32;
 
 #[test]
 fn a_pattern_on_the_walls_comes_back_and_half_a_pixel_matters() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let cameras = cameras();
     let take = |camera: &Camera| photograph(&scene, camera, |p, _| pattern(p));
     let images: Vec<Rgb> = cameras.iter().map(take).collect();
@@ -142,7 +143,7 @@ fn a_pattern_on_the_walls_comes_back_and_half_a_pixel_matters() {
 
 #[test]
 fn each_projection_alone_brings_the_pattern_back() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     for camera in cameras() {
         let image = photograph(&scene, &camera, |p, _| pattern(p));
         let tbl = fuse_images(&scene, &[camera], &[image], &TblOptions::default());
@@ -153,7 +154,7 @@ fn each_projection_alone_brings_the_pattern_back() {
 
 #[test]
 fn a_highlight_that_moves_with_the_camera_is_left_out() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let positions = [[0.7, 0.6], [3.3, 0.7], [0.8, 2.4], [3.2, 2.3], [2.0, 1.5], [1.3, 1.6], [2.7, 1.2]];
     let cameras: Vec<Camera> =
         positions.map(|[x, y]| Camera { width: 256, height: 128, ..panorama(Vec3::new(x, y, 1.3), x) }).into();
@@ -172,7 +173,7 @@ fn a_highlight_that_moves_with_the_camera_is_left_out() {
 
 #[test]
 fn what_no_view_sees_is_inpainted_from_around_and_flagged() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     // Every face shines in its own brightness; the one pinhole sees parts of some.
     const LIT: [f32; 6] = [0.5, 0.8, 1.1, 1.4, 1.7, 2.0];
     let faces = |p: Vec3| {
@@ -183,7 +184,7 @@ fn what_no_view_sees_is_inpainted_from_around_and_flagged() {
     let camera = pinhole(ROOM / 2.0, Vec3::new(4.0, 1.5, 1.0));
     let image = photograph(&scene, &camera, |p, _| faces(p));
     let tbl = fuse_images(&scene, &[camera], &[image], &TblOptions::default());
-    let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
     let coverage = |texel: u32| tbl.coverage.data[texel as usize];
     let texels = || atlas.texels.iter().copied().zip(atlas.points.iter().map(|p| p.triangle as usize / 2));
     assert!(texels().all(|(texel, _)| coverage(texel) != Coverage::Outside));
@@ -201,8 +202,8 @@ fn what_no_view_sees_is_inpainted_from_around_and_flagged() {
 }
 
 /// Mean relative error of the seen ceiling texels that lie in the lamp, 5 cm and more from its rim.
-fn inside_lamp(scene: &Scene, tbl: &Tbl, radiance: f32, lamp: impl Fn(Vec3) -> bool) -> f32 {
-    let atlas = Atlas::new(&mut CpuBackend::new(scene), scene, SIZE.0, SIZE.1).unwrap();
+fn inside_lamp(scene: &Arc<Scene>, tbl: &Tbl, radiance: f32, lamp: impl Fn(Vec3) -> bool) -> f32 {
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
     let inside = |p: Vec3| [Vec3::X, -Vec3::X, Vec3::Y, -Vec3::Y].iter().all(|way| lamp(p + 0.05 * *way));
     let seen = |texel: u32| tbl.coverage.data[texel as usize] == Coverage::Seen;
     let texels = atlas.texels.iter().zip(&atlas.points).filter(|(t, p)| seen(**t) && inside(p.position.into()));
@@ -213,7 +214,7 @@ fn inside_lamp(scene: &Scene, tbl: &Tbl, radiance: f32, lamp: impl Fn(Vec3) -> b
 
 #[test]
 fn lamps_keep_their_radiance_and_are_not_spread_to_what_is_unseen() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     // A lamp panel in the ceiling, a part of which a wide photo shows.
     let lamp = |p: Vec3| p.z > ROOM.z - 0.01 && (p.x - 2.0).abs() < 0.5 && (p.y - 1.5).abs() < 0.4;
     let shine = |p: Vec3| if lamp(p) { [5000.0; 3] } else { [0.5; 3] };
@@ -226,7 +227,7 @@ fn lamps_keep_their_radiance_and_are_not_spread_to_what_is_unseen() {
 }
 
 /// A photograph whose pixels are means over their area.
-fn filtered_photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
+fn filtered_photograph(scene: &Arc<Scene>, camera: &Camera, radiance: impl Fn(Vec3, Vec3) -> [f32; 3]) -> Rgb {
     const FACTOR: usize = 8;
     let fine = photograph(scene, &camera.supersampled(FACTOR), radiance);
     let mean = |i: usize| {
@@ -239,7 +240,7 @@ fn filtered_photograph(scene: &Scene, camera: &Camera, radiance: impl Fn(Vec3, V
 
 #[test]
 fn a_lamp_as_small_as_a_pixel_keeps_its_power_and_does_not_glow() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     // 30 cm of ceiling, where a pixel is 20 to 30 cm wide.
     let centre = Vec3::new(1.5, 1.2, ROOM.z);
     let lamp = |p: Vec3| p.z > ROOM.z - 0.01 && (p - centre).abs().truncate().max_element() < 0.15;
@@ -247,8 +248,8 @@ fn a_lamp_as_small_as_a_pixel_keeps_its_power_and_does_not_glow() {
     let coarse = |x, y, yaw| Camera { width: 64, height: 32, ..panorama(Vec3::new(x, y, 0.5), yaw) };
     let cameras = [coarse(1.2, 1.1, 0.7), coarse(2.9, 1.9, 2.9), coarse(0.8, 2.1, 1.7), coarse(2.2, 0.6, 0.1)];
     let images = cameras.map(|camera| filtered_photograph(&scene, &camera, shine));
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
     // Of the ceiling around the lamp: Σ radiance · area beyond the ceiling's own, against the lamp's, and the strongest glow
     // 10 cm beside it.
     let measure = |radiance: &dyn Fn(usize) -> f32| {
@@ -331,7 +332,7 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     quad(&mut mesh, 0, Vec3::ZERO, Vec3::X * 4.0, Vec3::Z * 2.5);
     quad(&mut mesh, 1, Vec3::new(0.0, -3.0, 0.0), Vec3::X * 4.0, Vec3::Y * 3.0);
     quad(&mut mesh, 2, Vec3::new(1.9, -0.5, 1.2), Vec3::X * 0.2, Vec3::Z * 0.2);
-    let scene = Scene::new(mesh).unwrap();
+    let scene = Arc::new(Scene::new(mesh).unwrap());
     let lamp = |p: Vec3| (p - Vec3::new(2.0, -0.5, 1.3)).abs().max_element() < 0.2;
     let shine = |p: Vec3, _: Vec3| if lamp(p) { [100.0; 3] } else { [0.5; 3] };
     let place = |k: usize| Vec3::new(0.5 + 0.25 * k as f32, -2.0, 1.0 + 0.2 * (k % 3) as f32);
@@ -346,8 +347,8 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
         image
     };
     let images: Vec<Rgb> = cameras.iter().enumerate().map(noisy).collect();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
     let is_wall = |texel: usize| atlas.points[texel].triangle < 4;
     let tbl = fuse_images(&scene, &cameras, &images, &TblOptions::default());
     let value = |i: usize| tbl.radiance.data[atlas.texels[i] as usize][0];
@@ -371,8 +372,8 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
 
 #[test]
 fn a_source_shines_on_its_unseen_sides_and_no_further() {
-    let scene = Scene::new(room()).unwrap();
-    let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
     let face = |point: &SurfacePoint| point.triangle / 2;
     // The floor shines, the ceiling does not, and nobody has seen the walls.
     let seen: Vec<bool> = atlas.points.iter().map(|point| face(point) < 2).collect();
@@ -399,8 +400,8 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
     quad(&mut mesh, 1, Vec3::new(0.203, 0.0, 0.0), up, across * 0.35);
     quad(&mut mesh, 2, Vec3::new(0.203, 0.07, 0.0), up, across * 0.65);
     quad(&mut mesh, 3, Vec3::new(0.6, 0.0, 0.0), up, across);
-    let scene = Scene::new(mesh).unwrap();
-    let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
+    let scene = Arc::new(Scene::new(mesh).unwrap());
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
     let face = |point: &SurfacePoint| point.triangle / 2;
     let seen: Vec<bool> = atlas.points.iter().map(|point| face(point) == 0).collect();
     // Beside the crack, what is seen is darker: a tenth of the strip.
@@ -419,9 +420,9 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
 
 #[test]
 fn what_others_filled_with_a_lamps_light_is_filled_anew() {
-    let scene = Scene::new(room()).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("view.exr");
     let camera = pinhole(ROOM / 2.0, Vec3::new(4.0, 1.5, 1.0));
@@ -436,7 +437,7 @@ fn what_others_filled_with_a_lamps_light_is_filled_anew() {
             given.radiance.data[t as usize] = if dim(point.position.into()) { [0.7; 3] } else { [50.0; 3] };
         }
     }
-    let resolved = resolve_sources(&mut backend, &scene, &atlas, &given, &[view], &Silent).unwrap();
+    let resolved = resolve_sources(&mut backend, &atlas, &given, &[view], &Silent).unwrap();
     for (&t, point) in atlas.texels.iter().zip(&atlas.points) {
         if resolved.coverage.data[t as usize] == Coverage::Inpainted {
             let [got, ..] = resolved.radiance.data[t as usize];
@@ -459,9 +460,9 @@ fn what_pixels_show_to_be_dark_does_not_shine_although_no_texel_of_it_is_seen() 
     let corner = Vec3::new(3.9, 1.0, 0.8);
     quad(&mut mesh, 4, corner, Vec3::Z, Vec3::Y);
     quad(&mut mesh, 5, corner + Vec3::Y, Vec3::Z, -0.2 * Vec3::X);
-    let scene = Scene::new(mesh).unwrap();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, SIZE.0, SIZE.1).unwrap();
+    let scene = Arc::new(Scene::new(mesh).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
     let pane = |p: Vec3| (p.x - 3.9).abs() < 1e-3 && p.y < 2.0;
     let cameras = [[1.2, 1.4], [1.5, 1.6], [0.8, 1.5], [1.4, 1.3]].map(|[x, y]| Camera {
         width: 128,
@@ -487,7 +488,7 @@ fn what_pixels_show_to_be_dark_does_not_shine_although_no_texel_of_it_is_seen() 
 
 #[test]
 fn the_gutter_repeats_the_chart_and_counts_as_outside() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let camera = panorama(ROOM / 2.0, 0.0);
     let image = Rgb::filled(camera.width, camera.height, [0.7; 3]);
     for gutter in [0, 3] {
@@ -502,7 +503,7 @@ fn the_gutter_repeats_the_chart_and_counts_as_outside() {
 
 #[test]
 fn the_result_does_not_depend_on_the_order_of_views_or_the_run() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let mut cameras = cameras();
     let images: Vec<Rgb> = cameras.iter().map(|c| photograph(&scene, c, |p, _| pattern(p))).collect();
     let options = TblOptions::default();
@@ -519,12 +520,10 @@ fn the_result_does_not_depend_on_the_order_of_views_or_the_run() {
 
 #[test]
 fn unusable_input_is_an_error() {
-    let scene = Scene::new(room()).unwrap();
     let inside = panorama(ROOM / 2.0, 0.0);
     let fails = |camera: Camera, image: Rgb, options: TblOptions, says: &str| {
-        let mut backend = CpuBackend::new(&scene);
-        let result =
-            fuse(&mut backend, &scene, &[camera], |_| Ok(Photo::new(image.clone(), None)), SIZE, &options, &Silent);
+        let mut backend = CpuBackend::new(Scene::new(room()).unwrap());
+        let result = fuse(&mut backend, &[camera], |_| Ok(Photo::new(image.clone(), None)), SIZE, &options, &Silent);
         let error = result.unwrap_err().to_string();
         assert!(error.contains(says), "{error}");
     };
@@ -551,13 +550,13 @@ fn paint(image: &mut Rgb, radiance: [f32; 3]) -> Vec<usize> {
 
 #[test]
 fn somebody_who_walks_by_leaves_no_ghost() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let cameras = many_cameras();
     let images: Vec<Rgb> = cameras.iter().map(|c| photograph(&scene, c, |p, _| pattern(p))).collect();
     let options = TblOptions::default();
     let largest = |images: &[Rgb], options: &TblOptions| {
         let tbl = fuse_images(&scene, &cameras, images, options);
-        let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, SIZE.0, SIZE.1).unwrap();
+        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
         let off = |(texel, point): (&u32, &SurfacePoint)| {
             (tbl.radiance.data[*texel as usize][0] / pattern(point.position.into())[0]).ln().abs()
         };
@@ -577,7 +576,7 @@ fn somebody_who_walks_by_leaves_no_ghost() {
 
 #[test]
 fn masks_are_obeyed_but_hide_no_light() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let lamp = |p: Vec3| p.z > ROOM.z - 0.01 && (p.x - 2.0).abs() < 0.5 && (p.y - 1.5).abs() < 0.4;
     let shine = |p: Vec3| if lamp(p) { [50.0; 3] } else { pattern(p) };
     // One camera: nothing outvotes the rig that stands in its picture.
@@ -589,7 +588,7 @@ fn masks_are_obeyed_but_hide_no_light() {
     rig.iter().for_each(|&pixel| unmasked.data[pixel] = false);
     let tbl = |mask: Option<Mask>| {
         let load = |_| Ok(Photo::new(image.clone(), mask.clone()));
-        fuse(&mut CpuBackend::new(&scene), &scene, &[camera], load, SIZE, &TblOptions::default(), &Silent).unwrap()
+        fuse(&mut CpuBackend::new(scene.clone()), &[camera], load, SIZE, &TblOptions::default(), &Silent).unwrap()
     };
     let dark = |tbl: &Tbl| {
         let seen = tbl.coverage.data.iter().zip(&tbl.radiance.data).filter(|(c, _)| **c == Coverage::Seen);
@@ -605,7 +604,7 @@ fn masks_are_obeyed_but_hide_no_light() {
 
 #[test]
 fn exposures_come_back_and_leave_no_seam() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let cameras = many_cameras();
     let gains: [[f32; 3]; 5] = [[1.9, 1.7, 1.8], [0.6, 0.6, 0.7], [1.0, 1.1, 0.9], [0.4, 0.5, 0.4], [1.3, 1.3, 1.5]];
     // A highlight that moves with the camera must not be taken for exposure.
@@ -616,7 +615,7 @@ fn exposures_come_back_and_leave_no_seam() {
     };
     let images: Vec<Rgb> = cameras.iter().zip(&gains).map(exposed).collect();
     let load = |i: usize| Ok(Photo::new(images[i].clone(), None));
-    let factors = exposure::solve_photos(&mut CpuBackend::new(&scene), &scene, &cameras, load, &Silent).unwrap();
+    let factors = exposure::solve_photos(&mut CpuBackend::new(scene.clone()), &cameras, load, &Silent).unwrap();
     for c in 0..3 {
         let mean = gains.iter().map(|gain| gain[c].ln()).sum::<f32>() / gains.len() as f32;
         for (gain, factor) in gains.iter().zip(&factors) {
@@ -638,7 +637,7 @@ fn exposures_come_back_and_leave_no_seam() {
 
 #[test]
 fn small_errors_of_poses_are_lessened() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let truth = many_cameras();
     let images: Vec<Rgb> = truth.iter().map(|c| photograph(&scene, c, |p, _| pattern(p))).collect();
     // 8 mm and 0.3°, another way for each view.
@@ -651,7 +650,7 @@ fn small_errors_of_poses_are_lessened() {
     };
     let cameras: Vec<Camera> = truth.iter().enumerate().map(moved).collect();
     let load = |i: usize| Ok(Photo::new(images[i].clone(), None));
-    let refined = pose::refine_photos(&mut CpuBackend::new(&scene), &scene, cameras.clone(), load, &Silent).unwrap();
+    let refined = pose::refine_photos(&mut CpuBackend::new(scene.clone()), cameras.clone(), load, &Silent).unwrap();
     let off = |cameras: &[Camera]| {
         let pairs = || cameras.iter().zip(&truth);
         let shift: f32 = pairs().map(|(a, b)| a.position().distance(b.position())).sum();
@@ -667,7 +666,7 @@ fn small_errors_of_poses_are_lessened() {
 
 #[test]
 fn blur_is_told_from_reflections_and_exposure() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let cameras = many_cameras();
     // 17 cm from crest to crest, a floor that mirrors, and exposures that differ.
     let fine = |p: Vec3, to_camera: Vec3| {
@@ -696,7 +695,7 @@ fn blur_is_told_from_reflections_and_exposure() {
     let blurred: Vec<Rgb> = sharp.iter().map(spread).collect();
     let measure = |images: &[Rgb], cameras: &[Camera]| {
         let load = |i: usize| Ok(Photo::new(images[i].clone(), None));
-        blur::measure_photos(&mut CpuBackend::new(&scene), &scene, cameras, load, &Silent).unwrap()
+        blur::measure_photos(&mut CpuBackend::new(scene.clone()), cameras, load, &Silent).unwrap()
     };
     let [before, after] = [&sharp, &blurred].map(|images| measure(images, &cameras).unwrap());
     assert!(before < 0.03 && (after - 1.0 / 6.0).abs() < 0.03, "{before} of sharp images, {after} of blurred ones");

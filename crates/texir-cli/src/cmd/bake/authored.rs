@@ -91,26 +91,24 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
     let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), session.console)?;
     let [width, height] = model.size;
-    let scene = Scene::new(model.mesh.clone())?;
-    let mut backend = device::open(&scene, session.config, session.console)?;
+    let mut backend = device::open(Scene::new(model.mesh.clone())?, session.config, session.console)?;
     let workspace = match bake.max_memory {
         Some(limit) => {
             let materials = model.memory() + environment.as_ref().map_or(0, Environment::memory);
-            keep_bounces_within(limit, &bake.partial(), &scene.mesh, materials, model.size)?
+            keep_bounces_within(limit, &bake.partial(), &model.mesh, materials, model.size)?
         }
         None => Workspace::Memory,
     };
-    let prepared = prepare(backend.as_mut(), &scene, &model, environment, workspace, (bake, session));
+    let prepared = prepare(backend.as_mut(), &model, environment, workspace, (bake, session));
     // Nothing is kept yet: a folder that is there for files without a name is empty.
     let (texels, surfaces) = prepared.inspect_err(|_| drop(std::fs::remove_dir(bake.partial())))?;
     let bounces = Bounces { quality: bake.quality(session)?, tolerance, most: options.bounces.unwrap_or(BOUNCES) };
     let settings = (backend.name(), width, height, bounces.quality);
-    let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&scene.mesh, settings), session.console)?;
-    let solved =
-        authored::irradiance(backend.as_mut(), &scene, &texels, &surfaces, &bounces, &checkpoints, session.console)?;
+    let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
+    let solved = authored::irradiance(backend.as_mut(), &texels, &surfaces, &bounces, &checkpoints, session.console)?;
     let unfinished = solved.unfinished(&model, tolerance, options.bounces.is_some());
     let (baked, console) = (&solved.solution, session.console);
-    let unlit = authored::unlit(backend.as_mut(), &scene, &model, &texels, &surfaces, baked, console)?;
+    let unlit = authored::unlit(backend.as_mut(), &model, &texels, &surfaces, baked, console)?;
     for warning in unfinished.iter().chain(&unlit) {
         console.warn(&format!("{}: {warning}", bake.input.display()));
     }
@@ -154,13 +152,12 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
 /// The texels of the map, and what is on them.
 fn prepare(
     backend: &mut dyn Backend,
-    scene: &Scene,
     model: &Model,
     environment: Option<Environment>,
     workspace: Workspace,
     (bake, session): (&Bake, &Session<'_>),
 ) -> Result<(Texels<'static>, Surfaces), Failure> {
-    let texels = Texels::map(backend, scene, model.size, workspace, session.console)?;
+    let texels = Texels::map(backend, model.size, workspace, session.console)?;
     let surfaces = model.surfaces(backend, &texels, environment)?;
     surfaces.check(&texels).context(bake.input.display())?;
     if surfaces.is_dark() {

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use super::*;
 use crate::atlas::Atlas;
 use crate::bake::tests::{lit, two_sheets};
@@ -12,7 +14,7 @@ const TARGET: f32 = 0.25;
 
 /// A floor below a ceiling of which a small part shines, gathered by cosine samples alone: mostly nothing, rarely much.
 struct Noisy {
-    scene: Scene,
+    scene: Arc<Scene>,
     radiance: Rgb,
     floor: Atlas,
     /// Luminance of E, nearly without noise.
@@ -26,7 +28,7 @@ impl Noisy {
         let shines = |i: usize| (10..13).contains(&(i % width)) && (6..10).contains(&(i / width));
         let data = (0..radiance.data.len()).map(|i| [f32::from(u8::from(shines(i))); 3]).collect();
         let radiance = Rgb { data, ..radiance };
-        let mut floor = Atlas::new(&mut lit(&scene, &radiance), &scene, SIDE, SIDE).unwrap();
+        let mut floor = Atlas::new(&mut lit(&scene, &radiance), SIDE, SIDE).unwrap();
         floor.points.retain(|p| p.normal[2] > 0.0);
         floor.texels = floor.points.iter().map(|p| p.sequence).collect();
         let gather = Gather { cosine: 2048, ..GATHER };

@@ -132,6 +132,7 @@ mod tests {
     use glam::Vec2;
 
     use super::*;
+    use crate::backend::Backend;
     use crate::cpu::CpuBackend;
     use crate::mesh::Mesh;
 
@@ -208,11 +209,12 @@ mod tests {
 
     #[test]
     fn thin_things_have_backs_and_thick_ones_have_none() {
-        let backs_of = |scene: &Scene| {
-            let atlas = Atlas::new(&mut CpuBackend::new(scene), scene, 40, 20).unwrap();
-            (backs(scene, &atlas), atlas)
+        let backs_of = |scene: Scene| {
+            let mut backend = CpuBackend::new(scene);
+            let atlas = Atlas::new(&mut backend, 40, 20).unwrap();
+            (backs(backend.scene(), &atlas), atlas)
         };
-        let (found, atlas) = backs_of(&slab(0.04, false));
+        let (found, atlas) = backs_of(slab(0.04, false));
         assert!(found.len() as f32 > 0.9 * atlas.points.len() as f32, "{} of {}", found.len(), atlas.points.len());
         for [back, front] in found {
             let [back, front] = [back, front].map(|t| atlas.points[t as usize]);
@@ -220,8 +222,8 @@ mod tests {
             let aside = (Vec3::from(back.position) - Vec3::from(front.position)).truncate().length();
             assert!(aside < 1.5 / 16.0, "{aside} m aside");
         }
-        assert_eq!(backs_of(&slab(0.2, false)).0, [[0; 2]; 0], "what is thick");
-        assert_eq!(backs_of(&slab(0.04, true)).0, [[0; 2]; 0], "two sheets that face alike");
+        assert_eq!(backs_of(slab(0.2, false)).0, [[0; 2]; 0], "what is thick");
+        assert_eq!(backs_of(slab(0.04, true)).0, [[0; 2]; 0], "two sheets that face alike");
     }
 
     #[test]

@@ -18,7 +18,6 @@ use crate::fit::adjacency::Adjacency;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Mask;
-use crate::scene::Scene;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 use crate::tbl::shown::{Shown, pixels_per_steradian};
@@ -58,7 +57,6 @@ impl Labels {
     /// Lets the views vote.
     pub fn vote(
         backend: &mut dyn Backend,
-        scene: &Scene,
         (atlas, adjacency): (&Atlas, &Adjacency),
         views: &[View],
         progress: &dyn Progress,
@@ -69,12 +67,13 @@ impl Labels {
         for view in views.iter().filter(has_labels) {
             progress.check()?;
             let (classes, rooms) = (view.load_semantic()?, view.load_room()?);
-            let witnesses = witnesses(backend, &scene.mesh, atlas, view, view.load_mask()?.as_ref())?;
+            let witnesses = witnesses(backend, atlas, view, view.load_mask()?.as_ref())?;
             class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
             let of_view = view.room_id.unwrap_or(0);
             room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
             progress.advance(1);
         }
+        let scene = backend.scene();
         let surface = hidden::flat_surfaces(atlas, adjacency);
         let backs = hidden::backs(scene, atlas);
         class.blur(&scene.mesh, atlas, adjacency);
@@ -103,13 +102,12 @@ pub struct Witness {
 /// from texels whose pixel shows their surface: the others are not seen there anyway.
 pub fn witnesses(
     backend: &mut dyn Backend,
-    mesh: &Mesh,
     atlas: &Atlas,
     view: &View,
     mask: Option<&Mask>,
 ) -> Result<Vec<Option<Witness>>> {
     let camera = &view.camera;
-    let shown = Shown::new(backend, mesh, camera)?;
+    let shown = Shown::new(backend, camera)?;
     let candidate = |(texel, point): (usize, &SurfacePoint)| {
         let position = Vec3::from(point.position);
         let at = camera.project(position)?;
@@ -244,6 +242,7 @@ pub(super) fn rounds(deviation: f32, size: f32) -> usize {
 mod tests {
     use std::hash::{DefaultHasher, Hash, Hasher};
     use std::path::PathBuf;
+    use std::sync::Arc;
 
     use super::super::segments::spread;
     use super::*;
@@ -251,6 +250,7 @@ mod tests {
     use crate::capture::Split;
     use crate::cpu::CpuBackend;
     use crate::raster::Labels;
+    use crate::scene::Scene;
     use crate::surface::Hit;
     use crate::tbl::tests::{panorama, room};
 
@@ -306,8 +306,8 @@ mod tests {
 
     #[test]
     fn what_hardly_any_view_votes_for_is_left_open() {
-        let scene = Scene::new(room()).unwrap();
-        let atlas = Atlas::new(&mut CpuBackend::new(&scene), &scene, 192, 128).unwrap();
+        let scene = Arc::new(Scene::new(room()).unwrap());
+        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), 192, 128).unwrap();
         let adjacency = Adjacency::new(&scene.mesh, &atlas);
         let islet = |t: usize| (Vec3::from(atlas.points[t].position) - Vec3::new(2.0, 1.5, 0.0)).length() < 0.4;
         let labels = |votes_on_islet: usize| {
@@ -357,9 +357,9 @@ mod tests {
 
     #[test]
     fn views_that_are_wrong_on_a_tenth_of_their_pixels_outvote_each_other() {
-        let scene = Scene::new(room()).unwrap();
-        let mut backend = CpuBackend::new(&scene);
-        let atlas = Atlas::new(&mut backend, &scene, 192, 128).unwrap();
+        let scene = Arc::new(Scene::new(room()).unwrap());
+        let mut backend = CpuBackend::new(scene.clone());
+        let atlas = Atlas::new(&mut backend, 192, 128).unwrap();
         let adjacency = Adjacency::new(&scene.mesh, &atlas);
         let truth: Vec<u16> = atlas.points.iter().map(|p| class(p.triangle, p.position.into())).collect();
         let places = [[0.7, 0.6], [3.3, 0.7], [0.8, 2.4], [3.2, 2.3], [2.0, 1.5], [1.3, 1.6]];
@@ -379,7 +379,7 @@ mod tests {
                 };
                 let labels = Labels::new(width, height, hits.iter().enumerate().map(shows).collect()).unwrap();
                 let labels = wrong(&labels, i);
-                let witnesses = witnesses(&mut backend, &scene.mesh, &atlas, view, None).unwrap();
+                let witnesses = witnesses(&mut backend, &atlas, view, None).unwrap();
                 seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
                 votes.add(&witnesses, |pixel| labels.data[pixel]);
             }

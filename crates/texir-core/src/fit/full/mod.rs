@@ -61,10 +61,10 @@ pub fn fit(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<(Materials, Option<Rgb>)> {
-    let Ground { scene, atlas, adjacency, emitters, seed, .. } = *ground;
+    let Ground { atlas, adjacency, emitters, seed, .. } = *ground;
     let mut irradiance = of_texels(&map, atlas);
     drop(map);
-    let labels = Labels::vote(backend, scene, (atlas, adjacency), training, progress)?;
+    let labels = Labels::vote(backend, (atlas, adjacency), training, progress)?;
     if !labels.has_classes() {
         let what = match training.iter().any(|view| view.semantic.is_some()) {
             true => "semantic images name no class where masks let pixels count",
@@ -81,7 +81,7 @@ pub fn fit(
     loop {
         let (settings, progress) = (&rounds[round], if round == 0 { progress } else { &again });
         let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
-        let observer = Observer { scene, atlas, emitters, settings, seed, checkpoints };
+        let observer = Observer { atlas, emitters, settings, seed, checkpoints };
         let seen = observer.observe(backend, training, progress)?;
         let materials = recover(ground, &irradiance, &labels, &seen, settings, progress)?;
         let sent = diffused::radiance(atlas, ground.tbl, &materials, emitters, &seen.is_seen);
@@ -91,8 +91,8 @@ pub fn fit(
             return Ok((materials, (round > 1).then_some(sent)));
         };
         let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
-        backend.set_tbl(&sent, &Lights::find(scene, atlas, &sent))?;
-        let baked = bake::denoised(backend, &scene.mesh, atlas, *gather, checkpoints, &again)?;
+        backend.set_tbl(&sent, &Lights::find(backend.scene(), atlas, &sent))?;
+        let baked = bake::denoised(backend, atlas, *gather, checkpoints, &again)?;
         irradiance = of_texels(&baked.map(atlas, Buried::Fill), atlas);
     }
 }
@@ -111,8 +111,7 @@ fn recover(
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<Materials> {
-    let Ground { scene, atlas, adjacency, plan, .. } = *ground;
-    let texel = atlas.typical_texel(&scene.mesh);
+    let Ground { atlas, texel, adjacency, plan, .. } = *ground;
     let apparent = apparent_albedo(ground, irradiance);
     let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, plan);
     drop(apparent);

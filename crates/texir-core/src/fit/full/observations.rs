@@ -1,6 +1,8 @@
 //! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would shine
 //! at any roughness.
 
+use std::sync::Arc;
+
 use glam::Vec3A;
 use rayon::prelude::*;
 
@@ -15,7 +17,6 @@ use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::fit::settings::FullSettings;
-use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
 use crate::scene::Scene;
@@ -83,9 +84,7 @@ impl Observations {
 
 /// What gathering observations takes.
 pub struct Observer<'a> {
-    /// The mesh.
-    pub scene: &'a Scene,
-    /// Its texels.
+    /// The texels of the backend's scene.
     pub atlas: &'a Atlas,
     /// Texels that are light sources.
     pub emitters: &'a Mask,
@@ -132,7 +131,7 @@ impl Observer<'_> {
         let image = view.load_image(progress)?;
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
-        let strata = Strata::new(backend, &self.scene.mesh, &view.camera)?;
+        let strata = Strata::new(backend, &view.camera)?;
         let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
             .into_par_iter()
             .filter(|&pixel| usable.data[pixel])
@@ -153,7 +152,7 @@ impl Observer<'_> {
         let blocks = blocks::share(&indices, &patches, view.camera.width, edge);
         let corners = &blocks.corners;
         let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
-            Mirror::new(self.scene, *patch, &strata.points(corners[0])[0])
+            Mirror::new(&strata.scene, *patch, &strata.points(corners[0])[0])
         };
         let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
         let number = all.views.len() as u32;
@@ -189,19 +188,19 @@ impl Observer<'_> {
 }
 
 /// What the strata of a view's pixels hit.
-struct Strata<'a> {
-    mesh: &'a Mesh,
+struct Strata {
+    scene: Arc<Scene>,
     /// The view's camera, with a pixel for each stratum.
     fine: Camera,
     /// By pixel of that.
     hits: Vec<Hit>,
 }
 
-impl<'a> Strata<'a> {
-    fn new(backend: &mut dyn Backend, mesh: &'a Mesh, camera: &Camera) -> Result<Self> {
+impl Strata {
+    fn new(backend: &mut dyn Backend, camera: &Camera) -> Result<Self> {
         let fine = camera.supersampled(AXIS);
         let hits = backend.primary(&fine, fine.rows())?;
-        Ok(Self { mesh, fine, hits })
+        Ok(Self { scene: backend.scene().clone(), fine, hits })
     }
 
     /// The pixels of `fine` that a pixel of the view consists of.
@@ -211,13 +210,14 @@ impl<'a> Strata<'a> {
 
     /// Shares of the texels that a pixel shows; `None` where it shows none, or a light source even in part.
     fn texels(&self, pixel: usize, index: &TexelIndex, emitters: &Mask) -> Option<Vec<Tap>> {
+        let mesh = &self.scene.mesh;
         let seen = self.of(pixel).map(|s| &self.hits[s]);
-        let lit = |hit: &Hit| hit.is_hit() && emitters.data[emitters.nearest(hit.uv(self.mesh))];
+        let lit = |hit: &Hit| hit.is_hit() && emitters.data[emitters.nearest(hit.uv(mesh))];
         if seen.iter().any(|hit| lit(hit)) {
             return None;
         }
         let mut taps: Vec<Tap> =
-            seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(self.mesh))).collect();
+            seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(mesh))).collect();
         merge(&mut taps);
         (!taps.is_empty()).then_some(taps)
     }
@@ -228,7 +228,7 @@ impl<'a> Strata<'a> {
         let standing_in = strata.into_iter().find(|&s| self.hits[s].is_hit()).unwrap_or(strata[0]);
         strata.map(|s| {
             let s = if self.hits[s].is_hit() { s } else { standing_in };
-            ShadePoint::new(self.mesh, &self.fine, s as u32, &self.hits[s], [0.0; 3])
+            ShadePoint::new(&self.scene.mesh, &self.fine, s as u32, &self.hits[s], [0.0; 3])
         })
     }
 }
@@ -247,7 +247,6 @@ mod tests {
         let square = LitSquare::new();
         let emitters = Mask::filled(SIDE, SIDE, false);
         let observer = Observer {
-            scene: &square.scene,
             atlas: &square.atlas,
             emitters: &emitters,
             settings: &FullSettings::default(),

@@ -1,5 +1,7 @@
 //! The full mode's parts on small problems with known answers.
 
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
@@ -27,7 +29,7 @@ use crate::texture::{Rows, Tap};
 const FLOOR: usize = 8;
 
 /// A floor of 2 × 2 m, a lamp of 20 × 20 cm above it, and a dim ceiling above both; one chart each.
-fn room() -> (Scene, Rgb) {
+fn room() -> (Arc<Scene>, Rgb) {
     let quad = |size: f32, z: f32, facing: f32| {
         [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| Vec3::new(size * x, size * y * facing, z))
     };
@@ -50,7 +52,7 @@ fn room() -> (Scene, Rgb) {
         radiance.data[y * 2 * FLOOR + FLOOR..][..FLOOR / 2].fill([60.0, 50.0, 40.0]);
         radiance.data[y * 2 * FLOOR..][..FLOOR].fill([0.2, 0.2, 0.2]);
     }
-    (Scene::new(mesh).unwrap(), radiance)
+    (Arc::new(Scene::new(mesh).unwrap()), radiance)
 }
 
 /// The floor seen by cameras on two circles, its materials known.
@@ -67,8 +69,8 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
 
 fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let (scene, radiance) = room();
-    let mut backend = CpuBackend::new(&scene);
-    let atlas = Atlas::new(&mut backend, &scene, 2 * FLOOR, FLOOR).unwrap();
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, 2 * FLOOR, FLOOR).unwrap();
     let lights = Lights::find(&scene, &atlas, &radiance);
     backend.set_tbl(&radiance, &lights).unwrap();
     let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();

@@ -6,7 +6,6 @@ pub mod views;
 use std::time::Instant;
 
 use super::{Ground, Materials, emission};
-use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
 use crate::brdf::Masking;
@@ -18,7 +17,6 @@ use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Raster, Rgb};
-use crate::scene::Scene;
 use crate::texture::Pyramid;
 use stages::{EpochLog, Optimisation, Textures};
 use views::{FitView, Surroundings};
@@ -33,7 +31,7 @@ pub fn fit(
     progress: &dyn Progress,
     log: &mut dyn FnMut(&EpochLog),
 ) -> Result<Materials> {
-    let Ground { scene, atlas, .. } = *ground;
+    let Ground { atlas, .. } = *ground;
     if training.iter().all(|view| view.semantic.is_none()) {
         progress.warn(
             "no view has semantic classes: everything counts as one class, within which roughness is propagated; full mode \
@@ -48,7 +46,7 @@ pub fn fit(
         footprint_samples: settings.footprint_samples,
     };
     let sources = Raster { data: emission(&ground.tbl.radiance, ground.emitters).collect(), ..ground.tbl.radiance };
-    backend.set_tbl(&sources, &Lights::none(&scene.mesh))?;
+    backend.set_tbl(&sources, &Lights::none(&backend.scene().mesh))?;
     drop(sources);
     let views = surroundings.prepare(backend, training, progress)?;
     backend.set_tbl(&ground.tbl.radiance, ground.lights)?;
@@ -68,7 +66,7 @@ pub fn fit(
         checkpoints: ground.checkpoints,
     }
     .run(&mut textures)?;
-    let (albedo, roughness) = complete(backend, scene, atlas, &pyramid, &views, &textures)?;
+    let (albedo, roughness) = complete(backend, ground, &pyramid, &views, &textures)?;
     Ok(Materials {
         albedo,
         roughness,
@@ -84,12 +82,12 @@ pub fn fit(
 /// values that the fit started from.
 fn complete(
     backend: &mut dyn Backend,
-    scene: &Scene,
-    atlas: &Atlas,
+    ground: &Ground<'_>,
     pyramid: &Pyramid,
     views: &[FitView],
     textures: &Textures,
 ) -> Result<(Rgb, Gray)> {
+    let Ground { atlas, texel, .. } = *ground;
     let mut seen = vec![false; atlas.width * atlas.height];
     for view in views {
         let weight = backend.lookup_vjp(pyramid, &vec![1.0; view.points.len()], 1, &view.footprints)?;
@@ -98,7 +96,6 @@ fn complete(
     let known = |value: &dyn Fn(usize) -> [f32; 3]| -> Vec<Option<[f32; 3]>> {
         atlas.texels.iter().map(|&t| seen[t as usize].then(|| value(t as usize))).collect()
     };
-    let texel = atlas.typical_texel(&scene.mesh);
     let albedo = known(&|t| textures.albedo.as_chunks::<3>().0[t]);
     let albedo = inpaint::fill(&atlas.points, &albedo, texel);
     let roughness = known(&|t| [textures.roughness[t]; 3]);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::capture::{Split, View};
@@ -11,7 +11,6 @@ use crate::fit::Ground;
 use crate::progress::{Progress, Silent};
 use crate::raster::Rgb;
 use crate::rng::hash2;
-use crate::surface::Hit;
 use crate::texture::{Footprints, Pyramid, Rows};
 
 /// Roughness and samples of the virtual-highlight render (method section 3).
@@ -75,23 +74,23 @@ impl Surroundings<'_> {
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let rooms = view.load_room()?;
+        let scene = backend.scene().clone();
         let hits = backend.primary(&view.camera, view.camera.rows())?;
         let used: Vec<u32> = (0..hits.len() as u32)
             .filter(|&i| {
                 let hit = &hits[i as usize];
-                hit.is_hit() && usable.data[i as usize] && !self.is_emitter(hit)
+                hit.is_hit() && usable.data[i as usize] && !self.is_emitter(hit.uv(&scene.mesh))
             })
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
         let fine_hits = backend.primary(&fine, fine.rows())?;
-        let mesh = &self.ground.scene.mesh;
-        let rows = Rows::of_pixels(self.pyramid, mesh, &fine, self.footprint_samples, |i| fine_hits[i], &used);
+        let rows = Rows::of_pixels(self.pyramid, &scene.mesh, &fine, self.footprint_samples, |i| fine_hits[i], &used);
         let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &rows)?;
         let points: Vec<ShadePoint> = used
             .iter()
             .zip(irradiance.as_chunks::<3>().0)
             .map(|(&pixel, &irradiance)| {
-                ShadePoint::new(&self.ground.scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
+                ShadePoint::new(&scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
             })
             .collect();
         let highlights = self.highlights(backend, &points, &view.name)?;
@@ -116,8 +115,8 @@ impl Surroundings<'_> {
         })
     }
 
-    fn is_emitter(&self, hit: &Hit) -> bool {
-        self.ground.emitters.data[self.ground.emitters.nearest(hit.uv(&self.ground.scene.mesh))]
+    fn is_emitter(&self, uv: Vec2) -> bool {
+        self.ground.emitters.data[self.ground.emitters.nearest(uv)]
     }
 
     /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.
