@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::{Mat4, Vec2, Vec3};
 use serde_json::json;
 use texir_core::atlas::Atlas;
-use texir_core::authored::{Bounces, Model, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
+use texir_core::authored::{Bounces, Model, Reflected, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{Baked, Denoiser, Quality, Texels};
 use texir_core::checkpoint::Checkpoints;
@@ -142,10 +142,14 @@ fn cornell() -> (Document, [[f32; 3]; 4]) {
 
 /// Reads a document through its file.
 fn load(document: &Document, size: usize) -> Model {
+    load_reflecting(document, size, Reflected::Diffusely)
+}
+
+fn load_reflecting(document: &Document, size: usize, reflected: Reflected) -> Model {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
     document.write(&path);
-    read_gltf(&path, size, &Silent).unwrap()
+    read_gltf(&path, size, reflected, &Silent).unwrap()
 }
 
 /// A path tracer in f64 without hierarchy, lightmap or bias: E(x) = D(x) + ρ(x₁) E(x₁), x₁ met by a cosine-distributed ray,
@@ -271,13 +275,21 @@ fn coordinates(low: f32, high: f32) -> [Vec2; 4] {
 
 /// What a document of one square emits and reflects, as means over its texels.
 fn square(material: serde_json::Value, image: Option<(usize, usize, Vec<[u8; 3]>)>) -> Surfaces {
+    square_reflecting(material, image, Reflected::Diffusely)
+}
+
+fn square_reflecting(
+    material: serde_json::Value,
+    image: Option<(usize, usize, Vec<[u8; 3]>)>,
+    reflected: Reflected,
+) -> Surfaces {
     let mut document = Document::default();
     if let Some((width, height, pixels)) = image {
         document.image(width, height, pixels);
     }
     let material = document.raw_material(material);
     document.quad(SQUARE, material, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
-    let model = load(&document, 16);
+    let model = load_reflecting(&document, 16, reflected);
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
     let atlas = Atlas::new(&mut backend, 16, 16).unwrap();
     model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap()
@@ -303,6 +315,27 @@ fn materials_mean_what_the_specification_says() {
     assert!(right.iter().all(|v| v.abs_diff_eq(Vec3::new(0.2514, 0.5, 0.5029), 0.05)), "{right:?}");
     let left = [at(3), at(4)].map(Vec3::from);
     assert!(left.iter().all(|v| v.max_element() < 0.1), "{left:?}");
+}
+
+#[test]
+fn dielectrics_reflect_more_than_their_base_colour_where_that_is_asked_for() {
+    let reflects = |metal: f32, image: Option<[u8; 3]>, reflected| {
+        let mut base = json!({ "baseColorFactor": [0.5, 0.25, 0.97, 1.0], "metallicFactor": metal });
+        if image.is_some() {
+            base["metallicRoughnessTexture"] = json!({ "index": 0 });
+        }
+        let image = image.map(|pixel| (1, 1, vec![pixel]));
+        square_reflecting(json!({ "pbrMetallicRoughness": base }), image, reflected).albedo.data[40]
+    };
+    let near = |found: [f32; 3], expected: [f32; 3]| {
+        assert!(Vec3::from(found).abs_diff_eq(expected.into(), 1e-4), "{found:?} where {expected:?} is expected");
+    };
+    near(reflects(0.0, None, Reflected::Diffusely), [0.5, 0.25, 0.97]);
+    near(reflects(0.0, None, Reflected::InAll), [0.56, 0.31, 1.0]);
+    near(reflects(1.0, None, Reflected::InAll), [0.5, 0.25, 0.97]);
+    // The texture's blue is how much of a metal it is, as it stands: three quarters are 191, and not what sRGB makes of it.
+    let mixed = 0.06 * (1.0 - 191.0 / 255.0);
+    near(reflects(1.0, Some([255, 255, 191]), Reflected::InAll), [0.5 + mixed, 0.25 + mixed, 0.97 + mixed]);
 }
 
 #[test]
@@ -381,11 +414,11 @@ fn the_baked_scene_keeps_its_materials_and_carries_the_lightmap() {
         document.quad(SQUARE, material, Mat4::from_translation(Vec3::Y * height), &[whole]);
     }
     document.write(&source);
-    let model = read_gltf(&source, 64, &Silent).unwrap();
+    let model = read_gltf(&source, 64, Reflected::Diffusely, &Silent).unwrap();
     let irradiance = Rgb::filled(64, 64, [3.0, 2.0, 1.0]);
     write_lightmapped_glb(&baked, &source, &model, Some(&irradiance)).unwrap();
 
-    let again = read_gltf(&baked, 64, &Silent).unwrap();
+    let again = read_gltf(&baked, 64, Reflected::Diffusely, &Silent).unwrap();
     assert_eq!((&again.mesh.uvs, &again.mesh.positions), (&model.mesh.uvs, &model.mesh.positions));
     let bytes = std::fs::read(&baked).unwrap();
     let json: serde_json::Value =
@@ -427,6 +460,6 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
     document.write(&path);
-    let error = read_gltf(&path, 16, &Silent).err().unwrap().to_string();
+    let error = read_gltf(&path, 16, Reflected::Diffusely, &Silent).err().unwrap().to_string();
     assert!(error.contains("node 1") && error.contains("scene.gltf"), "{error}");
 }

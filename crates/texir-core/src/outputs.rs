@@ -13,6 +13,7 @@ use crate::brdf::Masking;
 use crate::capture::Tbl;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
+use crate::glb::{Materials, Up, write_glb};
 use crate::image_io::{read_gray, read_rgb, write_gray, write_rgb};
 use crate::mesh::Mesh;
 use crate::mesh_io;
@@ -141,6 +142,13 @@ impl FitOutput {
         write_atomic(folder.join(MATERIALS), |sink| serde_json::to_writer_pretty(sink, &scattering))?;
         self.tbl.write(folder.join(HDR_TEXTURE))?;
         mesh_io::obj::write(folder.join(MESH), &self.mesh)
+    }
+
+    /// Writes mesh and materials as one GLB, for engines.
+    pub fn write_scene(&self, path: &Path) -> Result<()> {
+        let Textures { albedo, roughness, metallic, emission, .. } = &self.textures;
+        let materials = Materials { albedo, roughness, metallic: metallic.as_ref(), emission: Some(emission) };
+        write_glb(path, &self.mesh, &materials, Up::Z)
     }
 
     /// Reads what [`FitOutput::save`] wrote, and may have been edited since: texels that are no numbers are an error, values

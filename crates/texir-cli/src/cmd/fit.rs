@@ -11,9 +11,7 @@ use texir_core::capture::Capture;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::eval::check_sizes;
 use texir_core::fit::{self, EpochLog, FitResult};
-use texir_core::glb::{Materials, Up, write_glb};
 use texir_core::outputs::{CORRECTIONS, FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
-use texir_core::render::Textures;
 use texir_core::scene::Scene;
 
 use super::corrections::CorrectionArgs;
@@ -126,9 +124,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let output = FitOutput { mesh: capture.mesh.clone(), tbl, textures, confidence };
     let folder = staging.folder();
     output.save(folder)?;
-    let Textures { albedo, roughness, metallic, emission, .. } = &output.textures;
-    let materials = Materials { albedo, roughness, metallic: metallic.as_ref(), emission: Some(emission) };
-    write_glb(folder.join(SCENE), &output.mesh, &materials, Up::Z)?;
+    output.write_scene(&folder.join(SCENE))?;
     let cameras: Vec<_> = capture.views.iter().map(|v| v.camera.position()).collect();
     plan.write_png(&folder.join(ROOMS), &cameras)?;
     let settings = settings(session.config)?;

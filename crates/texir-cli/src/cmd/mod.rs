@@ -6,6 +6,7 @@ mod bench;
 mod corrections;
 mod demo;
 mod eval;
+mod export;
 mod fit;
 mod hdr;
 mod import;
@@ -51,6 +52,8 @@ pub enum Command {
     Render(render::Render),
     /// Compare the result of a fit with the truth, beside what true materials would reach
     Eval(eval::Eval),
+    /// Write the scene of a fit anew, with its textures as they are now: after they were edited
+    Export(export::Export),
     /// Write one self-contained HTML page about a fit
     Report(report::Report),
     /// Measure how fast this machine traces rays, by size of mesh and atlas
@@ -98,6 +101,7 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
         Command::Ablate(command) => command.run(session),
         Command::Render(command) => command.run(session),
         Command::Eval(command) => command.run(session),
+        Command::Export(command) => command.run(session),
         Command::Report(command) => command.run(session),
         Command::Bench(command) => command.run(session),
     }

@@ -118,6 +118,26 @@ fn fit_render_eval_and_report_on_the_cpu() {
 }
 
 #[test]
+fn edited_textures_are_exported() {
+    let capture = Capture::new();
+    let out = capture.out("out");
+    succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--no-eval", "--quiet"]));
+    let scene = std::fs::read(out.join("scene.glb")).unwrap();
+    let other = capture.out("other.glb");
+    let export = ["export".as_ref(), out.as_os_str(), "-o".as_ref(), other.as_os_str()];
+    assert!(succeed(&export).out.contains("other.glb"));
+    assert!(std::fs::read(&other).unwrap() == scene, "nothing was edited");
+    let red = read_rgb(out.join("albedo.exr")).unwrap().map(|_| [0.8, 0.1, 0.1]);
+    write_rgb(out.join("albedo.exr"), &red).unwrap();
+    succeed(&["export".as_ref(), out.as_os_str()]);
+    let edited = std::fs::read(out.join("scene.glb")).unwrap();
+    assert!(edited != scene);
+    assert_scene(&out.join("scene.glb"));
+    run(&["export".as_ref(), out.as_os_str(), "-o".as_ref(), out.join("albedo.exr").as_os_str()]).complains(&[".glb"]);
+    assert!(read_rgb(out.join("albedo.exr")).unwrap() == red, "not replaced");
+}
+
+#[test]
 fn textures_are_evaluated_through_another_mesh_of_their_atlas() {
     let capture = Capture::new();
     let out = capture.out("out");

@@ -1,7 +1,8 @@
 //! Authored scenes from glTF and GLB: geometry with the lightmap's coordinates, Lambertian materials with their emission
 //! (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
-//! Base colour is the albedo, metals included: what they reflect is taken for diffuse. Alpha, vertex colours, skins and
+//! Base colour is the albedo, metals included: what they reflect is taken for diffuse, and so, on request, what dielectrics reflect
+//! specularly. Alpha, vertex colours, skins and
 //! morph targets are left out, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +21,8 @@ use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
+use crate::fit::diffused::SPECULAR;
+use crate::image_io::TransferCurve;
 use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
@@ -56,12 +59,23 @@ pub(crate) struct Part {
     pub name: String,
 }
 
+/// What of the light that surfaces reflect is counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reflected {
+    /// Base colour alone: surfaces are Lambertian.
+    Diffusely,
+    /// What dielectrics reflect specularly as well, as if they sent it everywhere: [`SPECULAR`] of uniform light.
+    InAll,
+}
+
 /// What a material emits and reflects.
 struct Shading {
     /// As the file calls it, for messages.
     name: String,
     albedo: Colour,
     emission: Colour,
+    /// How much of a metal it is (blue), where that matters.
+    metal: Option<Colour>,
     double_sided: bool,
 }
 
@@ -87,7 +101,7 @@ pub struct Model {
 ///
 /// Its coordinates are TEXCOORD_1 where that gives every surface a place of its own, otherwise TEXCOORD_0 where that does;
 /// otherwise the scene is unwrapped, into a map of `size` columns and at most as many rows.
-pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -> Result<Model> {
+pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, progress: &dyn Progress) -> Result<Model> {
     let path = path.as_ref();
     let Contents { document, buffers } = geometry::load(path)?;
     geometry::left_out(path, &document).iter().for_each(|warning| progress.warn(warning));
@@ -121,8 +135,9 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, progress: &dyn Progress) -
     if parts.is_empty() {
         return Err(Error::file(path, "has no triangles with an area; expected a scene"));
     }
-    let shading = shading(path, &document)?;
-    let used = shading.iter().flat_map(|s| [&s.albedo, &s.emission]).filter_map(|c| c.texture.as_ref());
+    let shading = shading(path, &document, reflected)?;
+    let used = shading.iter().flat_map(|s| [&s.albedo, &s.emission].into_iter().chain(&s.metal));
+    let used = used.filter_map(|c| c.texture.as_ref());
     let used: Vec<usize> = used.map(|texture| texture.image).collect();
     let images = (document.images())
         .map(|image| used.contains(&image.index()).then(|| decoded(path, &image, &buffers)).transpose())
@@ -185,9 +200,9 @@ impl Model {
     fn without_coordinates(&self) -> Vec<String> {
         let mut lacking = BTreeMap::<usize, usize>::new();
         for part in &self.parts {
-            let Shading { albedo, emission, .. } = &self.shading[self.shading_of(part)];
-            let sets: BTreeSet<usize> =
-                [albedo, emission].iter().filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
+            let Shading { albedo, emission, metal, .. } = &self.shading[self.shading_of(part)];
+            let used = [albedo, emission].into_iter().chain(metal);
+            let sets: BTreeSet<usize> = used.filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
             let missing = sets.into_iter().filter(|set| part.has_uvs.get(*set) != Some(&true));
             missing.for_each(|set| *lacking.entry(set).or_default() += 1);
         }
@@ -245,8 +260,9 @@ impl Model {
             let uvs = self.parts[part].uvs.get(set)?;
             Some(hit.interpolate(corners.map(|i| uvs[i])))
         };
-        let Shading { albedo, emission, .. } = &self.shading[shading];
-        [albedo.at(uv, &self.images).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]
+        let Shading { albedo, emission, metal, .. } = &self.shading[shading];
+        let specular = metal.as_ref().map_or(0.0, |metal| SPECULAR * (1.0 - metal.at(uv, &self.images).z));
+        [(albedo.at(uv, &self.images) + specular).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]
     }
 }
 
@@ -291,8 +307,9 @@ impl Part {
 }
 
 /// All materials of the document, then glTF's default.
-fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
+fn shading(path: &Path, document: &Document, reflected: Reflected) -> Result<Vec<Shading>> {
     let texture = |info: Option<gltf::texture::Info>| info.map(|info| Texture::new(&info));
+    let srgb = |factor, texture| Colour { factor, texture, curve: TransferCurve::Srgb };
     let of = |material: Material| -> Result<Shading> {
         let base = material.pbr_metallic_roughness();
         let [r, g, b, _] = base.base_color_factor();
@@ -308,16 +325,21 @@ fn shading(path: &Path, document: &Document) -> Result<Vec<Shading>> {
         }
         Ok(Shading {
             name,
-            albedo: Colour { factor: Vec3::new(r, g, b), texture: texture(base.base_color_texture()) },
-            emission: Colour { factor: emitted, texture: texture(material.emissive_texture()) },
+            albedo: srgb(Vec3::new(r, g, b), texture(base.base_color_texture())),
+            emission: srgb(emitted, texture(material.emissive_texture())),
+            metal: (reflected == Reflected::InAll).then(|| Colour {
+                factor: Vec3::splat(base.metallic_factor()),
+                texture: texture(base.metallic_roughness_texture()),
+                curve: TransferCurve::Linear,
+            }),
             double_sided: material.double_sided(),
         })
     };
-    let white = Colour { factor: Vec3::ONE, texture: None };
-    let black = Colour { factor: Vec3::ZERO, texture: None };
+    let [black, white] = [Vec3::ZERO, Vec3::ONE].map(|factor| srgb(factor, None));
     let mut all: Vec<Shading> = document.materials().map(of).collect::<Result<_>>()?;
     let name = "glTF's default (of primitives without a material)".to_owned();
-    all.push(Shading { name, albedo: white, emission: black, double_sided: false });
+    // A metal, and so white as it is.
+    all.push(Shading { name, albedo: white, emission: black, metal: None, double_sided: false });
     Ok(all)
 }
 

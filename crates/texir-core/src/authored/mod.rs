@@ -21,7 +21,7 @@ mod texture;
 mod unlit;
 
 pub use self::export::write_lightmapped_glb;
-pub use self::gltf::{Model, read_gltf};
+pub use self::gltf::{Model, Reflected, read_gltf};
 pub use self::solve::{Bounces, Solved, irradiance};
 pub use self::unlit::unlit;
 use crate::bake::{self, Texels};

@@ -8,7 +8,7 @@ use glam::{Mat4, Vec3};
 use gltf::binary::Glb;
 use serde_json::{Value, json};
 
-use super::{Bounces, irradiance, read_gltf, unlit, write_lightmapped_glb};
+use super::{Bounces, Reflected, irradiance, read_gltf, unlit, write_lightmapped_glb};
 use crate::backend::Gather;
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
@@ -82,7 +82,7 @@ struct Written(Value, Vec<u8>);
 impl Written {
     /// What a scene becomes, with a lightmap inside or not.
     fn of(source: &Path, attached: bool) -> Self {
-        let model = read_gltf(source, 64, &Silent).unwrap();
+        let model = read_gltf(source, 64, Reflected::Diffusely, &Silent).unwrap();
         let irradiance = Rgb::filled(4, 4, [1.0; 3]);
         let path = source.with_file_name("baked.glb");
         write_lightmapped_glb(&path, source, &model, attached.then_some(&irradiance)).unwrap();
@@ -193,7 +193,7 @@ fn primitives_without_a_material_carry_the_lightmap_as_well() {
     let materials = json["materials"].as_array().unwrap();
     assert!(materials.iter().all(|material| material["extensions"]["MOZ_lightmap"]["texCoord"] == 1), "{materials:?}");
     // White, as the default that the surfaces were baked with.
-    let white = read_gltf(source.with_file_name("baked.glb"), 64, &Silent).unwrap();
+    let white = read_gltf(source.with_file_name("baked.glb"), 64, Reflected::Diffusely, &Silent).unwrap();
     assert_eq!(white.parts[1].material, Some(1));
     let factor = &materials[1]["pbrMetallicRoughness"]["baseColorFactor"];
     assert!(factor.as_array().is_none_or(|factor| factor.iter().all(|v| v == 1.0)), "{factor}");
@@ -264,7 +264,7 @@ fn over() -> Mat4 {
 /// What users are told of a scene after at most so many bounces, which were asked for or not: of bounces, and of light that does
 /// not arrive.
 fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
-    let model = read_gltf(source, 32, &Silent).unwrap();
+    let model = read_gltf(source, 32, Reflected::Diffusely, &Silent).unwrap();
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
@@ -311,7 +311,7 @@ fn extensions_that_matter_are_told_and_others_are_not() {
     let read = |used: &[&str], required: &[&str]| {
         let more = json!({ "extensionsUsed": used, "extensionsRequired": required });
         let (source, told) = (write_squares(folder.path(), &[(&[set(1.0, 0.0)], None)], more), Warnings::default());
-        let error = read_gltf(source, 16, &told).err().map(|e| e.to_string());
+        let error = read_gltf(source, 16, Reflected::Diffusely, &told).err().map(|e| e.to_string());
         (told.all(), error)
     };
     let harmless = ["KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_ior", "KHR_materials_clearcoat"];
@@ -348,7 +348,7 @@ fn primitives_that_lack_their_textures_coordinates_are_told() {
         });
         let (source, told) =
             (write_squares(folder.path(), &[(sets, Some(0)), (sets, None)], more), Warnings::default());
-        read_gltf(source, 16, &told).unwrap();
+        read_gltf(source, 16, Reflected::Diffusely, &told).unwrap();
         told.all()
     };
     let told = read(&[set(1.0, 0.0); 2]);

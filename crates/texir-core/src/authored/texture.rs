@@ -19,6 +19,8 @@ use crate::image_io::{TransferCurve, limits};
 pub(super) struct Colour {
     pub factor: Vec3,
     pub texture: Option<Texture>,
+    /// How the image encodes what it holds.
+    pub curve: TransferCurve,
 }
 
 impl Colour {
@@ -26,7 +28,7 @@ impl Colour {
     pub fn at(&self, uv: impl Fn(usize) -> Option<Vec2>, images: &[Option<RgbImage>]) -> Vec3 {
         let texel = self.texture.as_ref().and_then(|texture| {
             let uv = uv(texture.set).unwrap_or_default();
-            Some(texture.at(uv, images.get(texture.image)?.as_ref()?))
+            Some(texture.at(uv, images.get(texture.image)?.as_ref()?, self.curve))
         });
         self.factor * texel.unwrap_or(Vec3::ONE)
     }
@@ -35,7 +37,7 @@ impl Colour {
     pub fn mean(&self, images: &[Option<RgbImage>]) -> Vec3 {
         let image = self.texture.as_ref().and_then(|texture| images.get(texture.image)?.as_ref());
         let Some(image) = image else { return self.factor };
-        let linear: [f64; 256] = std::array::from_fn(|v| f64::from(linear_from_srgb(v as u8)));
+        let linear: [f64; 256] = std::array::from_fn(|v| f64::from(decoded_byte(self.curve, v as u8)));
         let sum =
             image.pixels().fold(DVec3::ZERO, |sum, pixel| sum + DVec3::from(pixel.0.map(|v| linear[usize::from(v)])));
         self.factor * (sum / image.pixels().len() as f64).as_vec3()
@@ -66,7 +68,7 @@ impl Texture {
         Self { image: info.texture().source().index(), set, image_from_uv, wrap }
     }
 
-    fn at(&self, uv: Vec2, image: &RgbImage) -> Vec3 {
+    fn at(&self, uv: Vec2, image: &RgbImage, curve: TransferCurve) -> Vec3 {
         let size = Vec2::new(image.width() as f32, image.height() as f32);
         // Texel centres are at half-integers.
         let place = self.image_from_uv.transform_point2(uv) * size - 0.5;
@@ -74,7 +76,7 @@ impl Texture {
         let pixel = |dx: f32, dy: f32| {
             let x = wrapped(low.x + dx, image.width(), self.wrap[0]);
             let y = wrapped(low.y + dy, image.height(), self.wrap[1]);
-            Vec3::from(image.get_pixel(x, y).0.map(linear_from_srgb))
+            Vec3::from(image.get_pixel(x, y).0.map(|v| decoded_byte(curve, v)))
         };
         let row = |dy: f32| pixel(0.0, dy).lerp(pixel(1.0, dy), f.x);
         row(0.0).lerp(row(1.0), f.y)
@@ -95,9 +97,9 @@ fn wrapped(at: f32, size: u32, mode: WrappingMode) -> u32 {
     (inside.max(0.0) as u32).min(size - 1)
 }
 
-/// Linear light of eight bits of sRGB.
-fn linear_from_srgb(v: u8) -> f32 {
-    TransferCurve::Srgb.decode(f32::from(v) / 255.0)
+/// What eight bits stand for.
+fn decoded_byte(curve: TransferCurve, v: u8) -> f32 {
+    curve.decode(f32::from(v) / 255.0)
 }
 
 /// An image's file as it stands in the document: a buffer view, a data URI or a file beside it.

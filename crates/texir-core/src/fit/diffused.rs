@@ -16,7 +16,7 @@ use crate::raster::{Mask, Rgb};
 
 /// What a dielectric (F0 = 0.04) reflects specularly of uniform light, ∫ F D G / (4 cos_o cos_i) cos_i dω averaged over cos_o:
 /// from 0.04 (rough) to 0.08 (smooth).
-const SPECULAR: f32 = 0.06;
+pub const SPECULAR: f32 = 0.06;
 
 /// Radiance that every texel sends. Light sources, metals, and what is captured though none of the pixels fitted shows it
 /// (`is_fitted`, per texel) send what was captured.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::authored::{self, Bounces, Model, Surfaces, write_lightmapped_glb};
+use texir_core::authored::{self, Bounces, Model, Reflected, Surfaces, write_lightmapped_glb};
 use texir_core::backend::Backend;
 use texir_core::bake::{Texels, Workspace, keep_bounces_within};
 use texir_core::checkpoint::Checkpoints;
@@ -42,6 +42,10 @@ pub struct Authored {
     /// Stop after N bounces even so; 0 bakes direct light alone [default: 64]
     #[arg(long, value_name = "N")]
     bounces: Option<u32>,
+    /// Let surfaces send on what they reflect specularly as well, as if it went everywhere: dielectrics 6 % more of the light than their
+    /// base colour. For scenes of `texir fit`, or where base colours are measured; without it surfaces are Lambertian
+    #[arg(long)]
+    specular: bool,
 }
 
 impl Authored {
@@ -56,6 +60,7 @@ impl Authored {
             ("--environment", self.environment.is_some()),
             ("--tolerance", self.tolerance.is_some()),
             ("--bounces", self.bounces.is_some()),
+            ("--specular", self.specular),
         ];
         given.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
@@ -89,7 +94,8 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let glb = bake.output.with_extension("glb");
     check_outputs(&[&glb], read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
-    let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), session.console)?;
+    let reflected = if options.specular { Reflected::InAll } else { Reflected::Diffusely };
+    let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
     let [width, height] = model.size;
     let mut backend = device::open(Scene::new(model.mesh.clone())?, session.config, session.console)?;
     let workspace = match bake.max_memory {
