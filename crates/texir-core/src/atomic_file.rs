@@ -3,22 +3,27 @@
 use std::fmt::Display;
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
 /// What [`write_atomic`] hands to its closure: buffered, seekable.
 pub type Sink<'a> = BufWriter<&'a mut File>;
 
+/// Symbolic links that lead from one to the next, at most, as Linux has it.
+const MOST_LINKS: usize = 40;
+
 /// Writes `path` through a temporary file in the same folder, which replaces `path` once `write` succeeded and every
-/// byte is on its way to the disk. On any failure `path` is as it was. Missing folders are made.
+/// byte is on its way to the disk. On any failure `path` is as it was. Missing folders are made. A symbolic link stays one:
+/// what it names is written, whether that exists or not.
 pub fn write_atomic<E: Display>(
     path: impl AsRef<Path>,
     write: impl FnOnce(&mut Sink) -> std::result::Result<(), E>,
 ) -> Result<()> {
     let path = path.as_ref();
     let failed = |what: &dyn Display| Error::cannot_write(path, what);
-    let folder = folder_of(path);
+    let target = destination(path).ok_or_else(|| failed(&"it is a symbolic link that leads back to itself"))?;
+    let folder = folder_of(&target);
     std::fs::create_dir_all(folder).map_err(|e| failed(&e))?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(".texir-").suffix(".part");
@@ -30,8 +35,21 @@ pub fn write_atomic<E: Display>(
     write(&mut sink).map_err(|e| failed(&e))?;
     sink.flush().map_err(|e| failed(&e))?;
     drop(sink);
-    temporary.persist(path).map_err(|e| failed(&e.error))?;
+    temporary.persist(&target).map_err(|e| failed(&e.error))?;
     Ok(())
+}
+
+/// What symbolic links at `path` lead to in the end; `None` where they lead in circles.
+fn destination(path: &Path) -> Option<PathBuf> {
+    let mut target = path.to_owned();
+    for _ in 0..=MOST_LINKS {
+        match std::fs::read_link(&target) {
+            // Relative to where the link lies.
+            Ok(next) => target = folder_of(&target).join(next),
+            Err(_) => return Some(target),
+        }
+    }
+    None
 }
 
 /// The folder that a file or folder lies in.
@@ -74,6 +92,35 @@ mod tests {
             write_atomic(&path, |w| w.write_all(text.as_bytes())).unwrap();
         }
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_stay_and_what_they_name_is_written() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("disk")).unwrap();
+        std::fs::write(at("disk/old.txt"), b"old").unwrap();
+        // To a file, to nothing yet in a folder that is a link itself, and to a link.
+        symlink(at("disk/old.txt"), at("to_old")).unwrap();
+        symlink("disk", at("folder")).unwrap();
+        symlink("folder/../disk/new.txt", at("to_new")).unwrap();
+        symlink("to_old", at("to_link")).unwrap();
+        for (link, named) in [("to_old", "disk/old.txt"), ("to_new", "disk/new.txt"), ("to_link", "disk/old.txt")] {
+            write_atomic(at(link), |w| w.write_all(link.as_bytes())).unwrap();
+            assert!(at(link).is_symlink() && !at(named).is_symlink(), "{link}");
+            assert_eq!(std::fs::read(at(named)).unwrap(), link.as_bytes());
+        }
+        // Negative control: a failure leaves what is named as it was, and a link that is a file's neighbour is no matter.
+        write_atomic(at("to_old"), |_| Err("no more paper")).unwrap_err();
+        assert_eq!(std::fs::read(at("disk/old.txt")).unwrap(), b"to_link");
+        let mut left = names(&at("disk"));
+        left.sort();
+        assert_eq!(left, ["new.txt", "old.txt"]);
+        symlink("round", at("round")).unwrap();
+        let error = write_atomic(at("round"), |w| w.write_all(b"x")).unwrap_err().to_string();
+        assert!(error.contains("round") && error.contains("back to itself"), "{error}");
     }
 
     #[cfg(unix)]

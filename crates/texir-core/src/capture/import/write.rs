@@ -57,11 +57,12 @@ pub fn write(
     let converted = import.shots.par_iter().map(converted).collect::<Result<Vec<_>>>()?;
     progress.finish();
     for (name, file) in &import.textures {
+        let to = free(out.join(name))?;
         // Readers go by the content, but people go by the name.
         if name.ends_with(".exr") && !is_exr(file) {
-            write_rgb(out.join(name), &read_rgb(file)?)?;
+            write_rgb(to, &read_rgb(file)?)?;
         } else {
-            job.bring(file, &out.join(name))?;
+            job.bring(file, &to)?;
         }
     }
     obj::write(out.join("mesh.obj"), &import.mesh)?;
@@ -127,7 +128,7 @@ impl Job<'_> {
             })?),
         };
         let lens = lens.as_ref();
-        let file = |kind: &str, extension: &str| self.out.join(kind).join(format!("{}.{extension}", view.name));
+        let file = |kind: &str, extension: &str| free(self.out.join(kind).join(format!("{}.{extension}", view.name)));
         let (image, own_opacity, clipped) = self.radiance(view, lens, &file)?;
         let opaque = match &shot.opacity {
             Some(path) => read_encoded(path)?.opaque,
@@ -142,23 +143,23 @@ impl Job<'_> {
                 name: view.name.clone(),
                 camera: lens.map_or(view.camera, |lens| lens.pinhole),
                 image,
-                semantic: self.labels(semantic, lens, size, file("semantic", "png"))?,
-                mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png"))?,
+                semantic: self.labels(semantic, lens, size, file("semantic", "png")?)?,
+                mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png")?)?,
                 room: self.labels(
                     view.room.as_deref().map(read_labels).transpose()?,
                     lens,
                     size,
-                    file("room", "png"),
+                    file("room", "png")?,
                 )?,
                 albedo: view
                     .albedo
                     .as_deref()
-                    .map(|from| self.albedo(from, lens, file("albedo", "exr")))
+                    .map(|from| self.albedo(from, lens, file("albedo", "exr")?))
                     .transpose()?,
                 roughness: view
                     .roughness
                     .as_deref()
-                    .map(|from| self.roughness(from, lens, file("roughness", "exr")))
+                    .map(|from| self.roughness(from, lens, file("roughness", "exr")?))
                     .transpose()?,
                 ..view.clone()
             },
@@ -172,23 +173,23 @@ impl Job<'_> {
         &self,
         view: &View,
         lens: Option<&Undistortion>,
-        file: &impl Fn(&str, &str) -> PathBuf,
+        file: &impl Fn(&str, &str) -> Result<PathBuf>,
     ) -> Result<(PathBuf, Option<Mask>, Option<usize>)> {
         let (image, opaque, clipped) = if is_encoded(&view.image)? {
             let encoded = read_encoded(&view.image)?;
             let (image, clipped) = encoded.decode(self.curve(&view.image)?);
             (image, encoded.opaque, Some(clipped))
         } else if let Some(lens) = lens {
-            let to = file("hdr", "exr");
+            let to = file("hdr", "exr")?;
             write_rgb(&to, &lens.smooth(&read_rgb(&view.image)?))?;
             return Ok((to, None, None));
         } else {
             let extension = view.image.extension().and_then(|e| e.to_str()).unwrap_or("exr");
-            let to = file("hdr", extension);
+            let to = file("hdr", extension)?;
             self.bring(&view.image, &to)?;
             return Ok((to, None, None));
         };
-        let to = file("hdr", "exr");
+        let to = file("hdr", "exr")?;
         write_rgb(&to, &lens.map_or_else(|| image.clone(), |lens| lens.smooth(&image)))?;
         Ok((to, opaque, clipped))
     }
@@ -270,6 +271,15 @@ impl Job<'_> {
         let mut source = std::fs::File::open(from).map_err(|e| Error::cannot_read(from, e))?;
         write_atomic(to, |sink| std::io::copy(&mut source, sink).map(drop))
     }
+}
+
+/// A place to write to. A link there is of an import with `--link` that was not finished: writing would follow it, and replace
+/// an image of some source.
+fn free(to: PathBuf) -> Result<PathBuf> {
+    if to.is_symlink() {
+        std::fs::remove_file(&to).map_err(|e| Error::cannot_write(&to, e))?;
+    }
+    Ok(to)
 }
 
 #[cfg(unix)]

@@ -416,6 +416,29 @@ fn nerfstudio_is_read_with_all_that_belongs_to_it() {
     assert_says(&again, &["transforms.json already", "empty folder"]);
 }
 
+#[cfg(unix)]
+#[test]
+fn an_import_that_was_not_finished_leaves_no_link_to_write_through() {
+    let [first, second] = [(); 2].map(|()| nerfstudio());
+    let out = tempfile::tempdir().unwrap();
+    let [first_read, second_read] =
+        [&first, &second].map(|folder| super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap());
+    let copied = ImportOptions::default();
+    let linked = ImportOptions { link: true, ..copied.clone() };
+    let to = |name: &str| out.path().join(name);
+    let image = first.path().join("photos/v1.exr");
+    write_rgb(second.path().join("photos/v1.exr"), &Rgb::filled(WIDTH, HEIGHT, [5.0; 3])).unwrap();
+    let before = std::fs::read(&image).unwrap();
+    for (read, options) in [(&first_read, &linked), (&second_read, &linked), (&second_read, &copied)] {
+        write(read, out.path(), options, &Silent).unwrap();
+        assert_eq!(to("hdr/v1.exr").is_symlink(), options.link);
+        assert!(std::fs::read(&image).unwrap() == before, "the source's image was replaced");
+        std::fs::remove_file(to("transforms.json")).unwrap();
+    }
+    // Negative control: that the images differ.
+    assert!(std::fs::read(to("hdr/v1.exr")).unwrap() != before);
+}
+
 #[test]
 fn unknown_folders_and_formats_are_named_with_what_is_known() {
     let folder = tempfile::tempdir().unwrap();
