@@ -287,8 +287,8 @@ mod tests {
     #[test]
     fn edited_textures_are_checked_when_they_are_read() {
         let folder = tempfile::tempdir().unwrap();
-        let [albedo, irradiance, emission] = [0.5, 1.0, 0.0].map(|v| Rgb::filled(4, 2, [v; 3]));
-        let (diffuse, masking, roughness) = (DiffuseModel::Lambert, Masking::Smith, Gray::filled(4, 2, 0.5));
+        let [albedo, irradiance, emission] = [0.5, 1.0, 0.0].map(|v| Rgb::filled(4, 4, [v; 3]));
+        let (diffuse, masking, roughness) = (DiffuseModel::Lambert, Masking::Smith, Gray::filled(4, 4, 0.5));
         let textures = Textures { albedo, roughness, metallic: None, irradiance, emission, diffuse, masking };
         let mesh = Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
@@ -296,24 +296,24 @@ mod tests {
             uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y],
             triangles: vec![[0, 1, 2]],
         };
-        let tbl = Tbl { radiance: textures.irradiance.clone(), coverage: Raster::filled(4, 2, Coverage::Seen) };
+        let tbl = Tbl { radiance: textures.irradiance.clone(), coverage: Raster::filled(4, 4, Coverage::Seen) };
         let output = FitOutput { mesh, tbl, textures, confidence: None };
         output.save(folder.path()).unwrap();
         assert_eq!(FitOutput::load(folder.path(), &Silent).unwrap(), output);
         for (name, value, limited) in [(ALBEDO, 1.5, 1.0), (IRRADIANCE, -1.0, 0.0), (EMISSION, -1.0, 0.0)] {
             let path = folder.path().join(name);
             let whole = fs::read(&path).unwrap();
-            write_rgb(&path, &Rgb::filled(4, 2, [value; 3])).unwrap();
+            write_rgb(&path, &Rgb::filled(4, 4, [value; 3])).unwrap();
             let Textures { albedo, irradiance, emission, .. } =
                 FitOutput::load(folder.path(), &Silent).unwrap().textures;
             let read = [(ALBEDO, albedo), (IRRADIANCE, irradiance), (EMISSION, emission)];
             let read = read.iter().find(|(of, _)| *of == name).unwrap();
-            assert_eq!(read.1.data, [[limited; 3]; 8], "{name}");
+            assert_eq!(read.1.data, [[limited; 3]; 16], "{name}");
             fs::write(&path, whole).unwrap();
         }
-        write_gray(folder.path().join(ROUGHNESS), &Gray::filled(4, 2, f32::NAN)).unwrap();
+        write_gray(folder.path().join(ROUGHNESS), &Gray::filled(4, 4, f32::NAN)).unwrap();
         let error = FitOutput::load(folder.path(), &Silent).unwrap_err().to_string();
-        assert!(error.contains(ROUGHNESS) && error.contains("8 of 8 texels"), "{error}");
+        assert!(error.contains(ROUGHNESS) && error.contains("16 of 16 texels"), "{error}");
     }
 
     #[test]

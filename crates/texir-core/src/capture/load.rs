@@ -6,6 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Capture, LoadOptions, Split, Truth, View, import, nerfstudio};
+use crate::camera::Projection;
 use crate::error::{Error, Result};
 use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
@@ -16,6 +17,8 @@ use crate::progress::Progress;
 const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
 /// The atlas is checked for overlaps at this many texels squared.
 pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
+/// A camera whose up axis points down by more than this is upside down.
+const DOWN: f32 = 0.5;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
 /// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there,
@@ -59,6 +62,8 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
     let mesh = file.mesh;
     warn_about_atlas(&mesh_path, &mesh, progress);
     warn_about_positions(&root, &views, &mesh, progress);
+    warn_about_axes(&root, &views, progress);
+    warn_about_centres(&root, &views, progress);
 
     let existing = |name: &str| Some(root.join(name)).filter(|path| path.is_file());
     let tbl = options.tbl.clone().or_else(|| existing("hdr_texture.exr"));
@@ -80,7 +85,17 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
 
 fn find_mesh(root: &Path) -> Result<PathBuf> {
     MESH_NAMES.iter().map(|name| root.join(name)).find(|path| path.is_file()).ok_or_else(|| {
-        Error::file(root, format!("has no mesh; expected one of {}, or name one with --mesh", MESH_NAMES.join(", ")))
+        let names = MESH_NAMES.join(", ");
+        let what = match import::files::mesh(root) {
+            Some(only) => format!(
+                "has no mesh of a name that is looked for ({names}), but {}: rename it, give it as --mesh {}, or make a \
+                 capture of the folder with `texir import`, which takes it",
+                only.file_name().unwrap_or_default().display(),
+                only.display()
+            ),
+            None => format!("has no mesh; expected one of {names}, or name one with --mesh"),
+        };
+        Error::file(root, what)
     })
 }
 
@@ -125,6 +140,45 @@ fn warn_about_positions(root: &Path, views: &[View], mesh: &Mesh, progress: &dyn
             first.camera.position()
         ));
     }
+}
+
+/// What turns OpenGL's axes into OpenCV's turns images upside down, but keeps what they show: the fit would go on, and find
+/// anything but the room's materials.
+fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
+    let down: Vec<&View> = views.iter().filter(|v| v.camera.world_from_camera.y_axis.z < -DOWN).collect();
+    if let Some(first) = down.first().filter(|_| 2 * down.len() > views.len()) {
+        progress.warn(&format!(
+            "{}: transform_matrix: {} of {} cameras are upside down (+Z is up in the world), the first is {:?}: are their axes \
+             OpenCV's (+Y down, +Z forward)? Expected OpenGL's (+Y up, -Z forward): negate columns 2 and 3 of every \
+             transform_matrix",
+            root.join("transforms.json").display(),
+            down.len(),
+            views.len(),
+            first.name
+        ));
+    }
+}
+
+fn warn_about_centres(root: &Path, views: &[View], progress: &dyn Progress) {
+    let outside = |view: &&View| match view.camera.projection {
+        Projection::Equirectangular => false,
+        Projection::Pinhole { cx, cy, .. } => {
+            !((0.0..=view.camera.width as f32).contains(&cx) && (0.0..=view.camera.height as f32).contains(&cy))
+        }
+    };
+    let all: Vec<&View> = views.iter().filter(outside).collect();
+    let Some(first) = all.first() else { return };
+    let Projection::Pinhole { cx, cy, .. } = first.camera.projection else { return };
+    progress.warn(&format!(
+        "{}: cx, cy: the principal point of {} of {} views lies outside of the image, the first is {:?} with ({cx}, {cy}) of \
+         {}×{} pixels: are they in pixels, and of images of this size?",
+        root.join("transforms.json").display(),
+        all.len(),
+        views.len(),
+        first.name,
+        first.camera.width,
+        first.camera.height
+    ));
 }
 
 fn truth(albedo: PathBuf, roughness: PathBuf) -> Result<Truth> {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Coverage, Tbl};
 use crate::error::{Error, Result};
-use crate::image_io::{read_labels, read_rgb, sanitise_radiance, write_png_labels, write_rgb};
+use crate::image_io::{check_square, read_labels, read_rgb, sanitise_radiance, write_png_labels, write_rgb};
 use crate::progress::Progress;
 
 const SEEN: u16 = 255;
@@ -19,11 +19,12 @@ impl Tbl {
         path.with_file_name(name)
     }
 
-    /// Reads an HDR texture and its mask. Without a mask, texels with any light count as seen and black ones as outside
+    /// Reads an HDR texture, which must be square, and its mask. Without a mask, texels with any light count as seen and black ones as outside
     /// the charts.
     pub fn read(path: impl AsRef<Path>, progress: &dyn Progress) -> Result<Self> {
         let path = path.as_ref();
         let mut radiance = read_rgb(path)?;
+        check_square(path, radiance.size())?;
         let found = sanitise_radiance(&mut radiance, 0.0);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", path.display()));

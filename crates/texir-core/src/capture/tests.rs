@@ -151,19 +151,21 @@ fn a_good_capture_loads_without_a_warning() {
 fn textures_of_the_folder_are_found_and_overridden() {
     let folder = capture();
     let root = folder.path();
-    let texels = Rgb::new(2, 1, vec![[1.0, 2.0, 3.0], [0.0; 3]]).unwrap();
+    let texels = Rgb::new(2, 2, vec![[1.0, 2.0, 3.0], [0.0; 3], [4.0; 3], [0.0; 3]]).unwrap();
     for name in ["albedo_tex.exr", "emission_tex.exr"] {
         write_rgb(root.join(name), &texels).unwrap();
     }
-    write_gray(root.join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
+    write_gray(root.join("roughness_tex.exr"), &Gray::filled(2, 2, 0.5)).unwrap();
     write_rgb(root.join("hdr_texture.exr"), &texels).unwrap();
     let capture = load_warned(&folder).0.unwrap();
     assert_eq!(capture.truth.unwrap().albedo, root.join("albedo_tex.exr"));
     assert_eq!(capture.emission.unwrap(), root.join("emission_tex.exr"));
     let tbl = Tbl::read(capture.tbl.unwrap(), &Silent).unwrap();
-    assert_eq!(tbl.coverage.data, [Coverage::Seen, Coverage::Outside], "without a mask, light tells");
+    let light = [Coverage::Seen, Coverage::Outside].repeat(2);
+    assert_eq!(tbl.coverage.data, light, "without a mask, light tells");
 
-    let other = Tbl { coverage: Raster::new(2, 1, vec![Coverage::Inpainted, Coverage::Seen]).unwrap(), ..tbl };
+    let coverage = Raster::new(2, 2, [Coverage::Inpainted, Coverage::Seen].repeat(2)).unwrap();
+    let other = Tbl { coverage, ..tbl };
     other.write(root.join("tbl/other.exr")).unwrap();
     let options = LoadOptions { tbl: Some(root.join("tbl/other.exr")), mesh: Some(root.join("none.ply")) };
     let error = load(root, &options, &Silent).unwrap_err().to_string();
@@ -171,9 +173,12 @@ fn textures_of_the_folder_are_found_and_overridden() {
     let capture = load(root, &LoadOptions { mesh: None, ..options }, &Silent).unwrap();
     assert_eq!(Tbl::read(capture.tbl.unwrap(), &Silent).unwrap(), other);
 
-    write_png_labels(root.join("tbl/other_mask.png"), &Labels::filled(2, 1, 7)).unwrap();
+    write_png_labels(root.join("tbl/other_mask.png"), &Labels::filled(2, 2, 7)).unwrap();
     let error = Tbl::read(root.join("tbl/other.exr"), &Silent).unwrap_err().to_string();
     assert_says(&error, &["other_mask.png", "level 7", "128"]);
+    write_rgb(root.join("tbl/view.exr"), &Rgb::filled(4, 2, [1.0; 3])).unwrap();
+    let error = Tbl::read(root.join("tbl/view.exr"), &Silent).unwrap_err().to_string();
+    assert_says(&error, &["view.exr", "is 4×2 texels", "expected a square atlas"]);
 }
 
 #[test]
@@ -361,7 +366,15 @@ fn a_capture_needs_a_folder_a_mesh_and_a_training_view() {
 
     let folder = capture();
     std::fs::remove_file(folder.path().join("mesh.obj")).unwrap();
-    assert_says(&message(&folder), &["has no mesh", "mesh.glb", "--mesh"]);
+    assert_says(&message(&folder), &["has no mesh; expected", "mesh.glb", "--mesh"]);
+    for (name, parts) in [
+        ("room.obj", &["has no mesh of a name that is looked for", "but room.obj", "--mesh", "texir import"][..]),
+        // Of two, none is the mesh.
+        ("scan.obj", &["has no mesh; expected one of"]),
+    ] {
+        obj::write(folder.path().join(name), &mesh()).unwrap();
+        assert_says(&message(&folder), parts);
+    }
     std::fs::remove_file(folder.path().join("transforms.json")).unwrap();
     assert_says(&message(&folder), &["holds no capture", "transforms.json"]);
     let error = load(folder.path().join("none"), &LoadOptions::default(), &Silent).unwrap_err().to_string();
@@ -398,6 +411,57 @@ fn doubtful_atlases_and_poses_are_warned_about() {
     assert_says(&warnings[1], &["albedo_tex.exr", "needs both"]);
     write_gray(folder.path().join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
     assert_says(&message(&folder), &["roughness_tex.exr", "(2, 1)", "expected (1, 1)", "albedo_tex.exr"]);
+}
+
+/// What one is warned of where the cameras with indices in `turned` have OpenCV's axes.
+fn warned_of_axes(turned: std::ops::Range<usize>) -> Vec<String> {
+    let folder = capture();
+    edit(&folder, |document| {
+        for i in turned {
+            let matrix = &mut document["frames"][i]["transform_matrix"];
+            for (row, column) in [(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (2, 2)] {
+                matrix[row][column] = json!(-matrix[row][column].as_f64().unwrap());
+            }
+        }
+    });
+    let (capture, warnings) = load_warned(&folder);
+    assert!(capture.is_ok());
+    warnings
+}
+
+#[test]
+fn cameras_upside_down_are_warned_about() {
+    for (turned, parts) in [(0..3, ["3 of 3 cameras", "\"view_0\""]), (1..3, ["2 of 3 cameras", "\"view_1\""])] {
+        let warnings = warned_of_axes(turned);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert_says(&warnings[0], &["transforms.json: transform_matrix", "upside down", "OpenCV", "columns 2 and 3"]);
+        assert_says(&warnings[0], &parts);
+    }
+    // Negative control: one of three may hang from the ceiling.
+    assert!(warned_of_axes(2..3).is_empty());
+}
+
+#[test]
+fn principal_points_outside_of_the_image_are_warned_about() {
+    let warned = |cx: f64, cy: f64| {
+        let folder = capture();
+        edit(&folder, |document| {
+            let fields = [("camera_model", json!("PINHOLE")), ("fl_x", json!(3.0)), ("fl_y", json!(3.0))];
+            fields.into_iter().for_each(|(field, value)| document[field] = value);
+            (document["cx"], document["cy"]) = (json!(cx), json!(cy));
+        });
+        load_warned(&folder).1
+    };
+    for (cx, cy) in [(4.5, 1.0), (-0.5, 1.0), (2.0, 2.25), (2.0, -1.0)] {
+        let warnings = warned(cx, cy);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert_says(&warnings[0], &["transforms.json: cx, cy", "3 of 3 views", "view_0", "4×2 pixels"]);
+        assert_says(&warnings[0], &[&format!("({cx}, {cy})")]);
+    }
+    // Negative control: its border is still in it.
+    for (cx, cy) in [(2.0, 1.0), (0.0, 0.0), (4.0, 2.0)] {
+        assert!(warned(cx, cy).is_empty());
+    }
 }
 
 #[test]

@@ -40,7 +40,7 @@ fn is_image(path: &Path) -> bool {
 }
 
 /// `mesh.*`, else the only mesh among the folder's files.
-pub(super) fn mesh(folder: &Path) -> Option<PathBuf> {
+pub(in crate::capture) fn mesh(folder: &Path) -> Option<PathBuf> {
     let named = MESH.iter().map(|extension| folder.join("mesh").with_extension(extension)).find(|path| path.is_file());
     named.or_else(|| only(folder, &MESH))
 }
