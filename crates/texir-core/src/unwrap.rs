@@ -13,6 +13,11 @@ use crate::progress::Progress;
 /// Sides of atlases that a mesh is unwrapped for, texels: the first on which its charts have room.
 const SIDES: [usize; 3] = [crate::tbl::DEFAULT_SIZE, 2 * crate::tbl::DEFAULT_SIZE, 4 * crate::tbl::DEFAULT_SIZE];
 
+/// Texels that charts stay away from the borders of the atlas, half of what is between two of them.
+const MARGIN: usize = PADDING / 2;
+/// Columns of the smallest atlas that has room for a chart.
+pub(crate) const SMALLEST_SIDE: usize = 2 * MARGIN + 1;
+
 /// Surfaces side by side in one atlas, [`PADDING`] texels apart.
 pub(crate) struct Unwrapped {
     /// Columns and rows that are used.
@@ -33,7 +38,7 @@ pub(crate) struct Charted {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Unwraps surfaces, of positions and triangles, into one atlas of `columns` and at most as many rows; `None` where their
+/// Unwraps surfaces, of positions and triangles, into one atlas of `columns`, [`SMALLEST_SIDE`] or more, and at most as many rows; `None` where their
 /// charts are too many for it.
 pub(crate) fn unwrap(
     surfaces: &[(&[Vec3], &[[u32; 3]])],
@@ -45,7 +50,7 @@ pub(crate) fn unwrap(
         .map(|(positions, triangles)| MeshInput::new(bytemuck::cast_slice(positions), triangles.as_flattened()))
         .collect();
     let density = Density::Auto { page_size: columns as u32 };
-    let options = Options { density, padding: PADDING as u32 / 2, ..Options::default() };
+    let options = Options { density, padding: MARGIN as u32, ..Options::default() };
     progress.start("unwrapping", surfaces.iter().map(|(_, triangles)| triangles.len() as u64).sum(), "triangles");
     let flattened = AtomicUsize::new(0);
     let atlas = uvunwrap::generate_with_progress(&inputs, &options, |step| {

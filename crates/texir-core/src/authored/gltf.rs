@@ -6,6 +6,7 @@
 //! morph targets are left out, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::f32::consts::FRAC_PI_2;
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
@@ -32,6 +33,9 @@ use crate::surface::{Hit, SurfacePoint};
 
 /// Points per texel and axis at which materials are looked up: images are finer than lightmaps.
 const LOOKUPS: usize = 2;
+
+/// Angles in files may be off by so many radians, from degrees with few digits.
+const ROUNDED: f32 = 1e-3;
 
 /// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only add gloss
 /// do not matter to what is Lambertian.
@@ -125,9 +129,8 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
             }
         }
         if let Some(light) = node.light() {
-            let light = punctual(&light, world_from_node);
-            light.check().map_err(|e| Error::file(path, format!("the light of node {}: {e}", node.index())))?;
-            lights.push(light);
+            let light = punctual(&light, world_from_node).and_then(|light| light.check().map(|()| light));
+            lights.push(light.map_err(|e| Error::file(path, format!("the light of node {}: {e}", node.index())))?);
         }
         Ok(())
     })?;
@@ -344,16 +347,28 @@ fn shading(path: &Path, document: &Document, reflected: Reflected) -> Result<Vec
 }
 
 /// A light in the frame of its node, shining along −Z.
-fn punctual(light: &gltf::khr_lights_punctual::Light, world_from_node: Mat4) -> PunctualLight {
+fn punctual(light: &gltf::khr_lights_punctual::Light, world_from_node: Mat4) -> Result<PunctualLight> {
     let position = world_from_node.w_axis.truncate().to_array();
     let direction = world_from_node.transform_vector3(Vec3::NEG_Z).normalize_or(Vec3::NEG_Z).to_array();
     let intensity = light.color().map(|c| c * light.intensity());
     let near = match light.kind() {
-        Kind::Directional => return PunctualLight::distant(direction, intensity),
+        Kind::Directional => return Ok(PunctualLight::distant(direction, intensity)),
         Kind::Point => PunctualLight::point(position, intensity),
         Kind::Spot { inner_cone_angle, outer_cone_angle } => {
+            check_cone(inner_cone_angle, outer_cone_angle)?;
             PunctualLight::spot(position, direction, intensity, [inner_cone_angle, outer_cone_angle])
         }
     };
-    light.range().map_or(near, |range| near.with_range(range))
+    Ok(light.range().map_or(near, |range| near.with_range(range)))
+}
+
+/// Errors on angles of a spot by which it would shine nowhere, or behind itself.
+fn check_cone(inner: f32, outer: f32) -> Result<()> {
+    if 0.0 <= inner && inner <= outer && outer <= FRAC_PI_2 + ROUNDED {
+        return Ok(());
+    }
+    Err(Error::invalid(format!(
+        "spot.innerConeAngle is {inner}, spot.outerConeAngle {outer}; expected radians from the spot's axis, 0 ≤ innerConeAngle ≤ \
+         outerConeAngle ≤ π/2"
+    )))
 }

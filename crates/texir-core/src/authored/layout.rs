@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::mesh_io::atlas_report;
 use crate::progress::Progress;
-use crate::unwrap::unwrap;
+use crate::unwrap::{SMALLEST_SIDE, unwrap};
 
 /// Charts of a given set may share this fraction of the covered texels: rounding where they touch.
 const OVERLAP: f64 = 1e-3;
@@ -26,6 +26,12 @@ impl Model {
                     return Ok(());
                 }
             }
+        }
+        if size < SMALLEST_SIDE {
+            return Err(Error::invalid(format!(
+                "the scene has no coordinates for a lightmap, and cannot be unwrapped into one of {size}×{size} texels; expected \
+                 at least {SMALLEST_SIDE}, and many times that for a picture of its light: make it larger with --size"
+            )));
         }
         let surfaces: Vec<_> = self.parts.iter().map(|part| (&part.positions[..], &part.triangles[..])).collect();
         let unwrapped = unwrap(&surfaces, size, progress)?.ok_or_else(|| {

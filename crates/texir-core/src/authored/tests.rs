@@ -392,3 +392,42 @@ fn fronts_without_light_are_told_where_their_backs_have_it() {
         assert!(black.contains("no light arrives at any surface"), "{black}");
     }
 }
+
+#[test]
+fn spots_without_a_cone_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_lit(folder.path(), &[(0, Mat4::IDENTITY)], Vec3::new(0.5, 1.0, 0.5), vec![None]);
+    let text = std::fs::read_to_string(&scene).unwrap();
+    let read = |inner: f64, outer: f64| {
+        let mut document: Value = serde_json::from_str(&text).unwrap();
+        document["extensions"]["KHR_lights_punctual"]["lights"][0] =
+            json!({ "type": "spot", "spot": { "innerConeAngle": inner, "outerConeAngle": outer } });
+        std::fs::write(&scene, document.to_string()).unwrap();
+        read_gltf(&scene, 16, &Silent).map(drop).map_err(|e| e.to_string())
+    };
+    for (inner, outer) in [(0.75, 0.5), (0.5, 2.0), (-0.5, 0.5)] {
+        let error = read(inner, outer).unwrap_err();
+        for part in
+            ["scene.gltf: the light of node 1", &format!("innerConeAngle is {inner}"), &format!("{outer}; expected")]
+        {
+            assert!(error.contains(part), "{part:?} is not in: {error}");
+        }
+    }
+    // Negative controls, of a half-space too, as files with few digits have it.
+    for (inner, outer) in [(0.0, 0.5), (0.5, 0.5), (0.0, 1.571)] {
+        read(inner, outer).unwrap();
+    }
+}
+
+#[test]
+fn lightmaps_without_room_for_a_chart_are_refused_before_unwrapping() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = write_squares(folder.path(), &[(&[], None)], json!({}));
+    let progress = crate::progress::Silent;
+    for size in [1, 4] {
+        let error = read_gltf(&scene, size, &progress).map(drop).unwrap_err().to_string();
+        assert!(error.contains(&format!("{size}×{size} texels; expected at least 5")), "{error}");
+    }
+    // Negative control.
+    assert_eq!(read_gltf(&scene, 5, &progress).unwrap().size[0], 5);
+}

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
 use gltf::accessor::{DataType, Dimensions};
-use gltf::buffer::Data;
+use gltf::buffer::{Data, Source};
 use gltf::material::AlphaMode;
 use gltf::mesh::Mode;
-use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic};
+use gltf::{Accessor, Buffer, Document, Gltf, Node, Primitive, Semantic};
 use gltf_json::extensions::ENABLED_EXTENSIONS;
 use gltf_json::validation::Checked;
 
@@ -87,9 +87,41 @@ pub(crate) struct Contents {
 
 /// Reads a file and the buffers that it refers to.
 pub(crate) fn load(path: &Path) -> Result<Contents> {
-    let Gltf { document, blob } = open(path)?;
-    let buffers = gltf::import_buffers(&document, path.parent(), blob).map_err(|e| Error::cannot_read(path, e))?;
+    let Gltf { document, mut blob } = open(path)?;
+    let buffers = document.buffers().map(|buffer| read_buffer(path, &buffer, &mut blob)).collect::<Result<_>>()?;
     Ok(Contents { document, buffers })
+}
+
+/// A buffer's bytes: of the GLB itself, of a data URI, or of a file beside the scene.
+fn read_buffer(path: &Path, buffer: &Buffer, blob: &mut Option<Vec<u8>>) -> Result<Data> {
+    let place = format!("buffers[{}]", buffer.index());
+    let file = match buffer.source() {
+        Source::Uri(uri) if !uri.starts_with("data:") => Some(
+            // The reader takes for granted that it is text.
+            urlencoding::decode(uri).map_err(|e| Error::file(path, format!("{place}: uri {uri:?} is no text: {e}")))?,
+        ),
+        _ => None,
+    };
+    let read = Data::from_source_and_blob(buffer.source(), path.parent(), blob);
+    let data = read.map_err(|e| match &file {
+        Some(file) => Error::file(
+            path,
+            format!(
+                "{place}: its file {file} cannot be read: {e}; expected it where the uri says, beside the scene: copy it \
+                 there, or export a .glb"
+            ),
+        ),
+        None => Error::file(path, format!("{place} cannot be read: {e}")),
+    })?;
+    if data.len() < buffer.length() {
+        let (found, expected) = (data.len(), buffer.length());
+        let of = file.map(|file| format!(", {file},")).unwrap_or_default();
+        return Err(Error::file(
+            path,
+            format!("{place}{of} has {found} bytes; expected {expected}: is it cut short, or of another export?"),
+        ));
+    }
+    Ok(data)
 }
 
 /// Calls `visit(node, world_from_node)` for every node of the default scene, parents first.
@@ -193,7 +225,7 @@ pub(crate) fn ignored(path: &Path, document: &Document, extensions: &[Ignored]) 
         .then(|| format!("{}: extensions are not taken into account: {}", path.display(), used.join(", ")))
 }
 
-/// Reads a primitive of triangles; `None` for points and lines.
+/// Reads a primitive of triangles, in a list, a strip or a fan; `None` for points and lines.
 pub(crate) fn surface(
     path: &Path,
     place: &str,
@@ -201,12 +233,8 @@ pub(crate) fn surface(
     buffers: &[Data],
     world_from_node: Mat4,
 ) -> Result<Option<PrimitiveGeometry>> {
-    match primitive.mode() {
-        Mode::Triangles => {}
-        mode @ (Mode::TriangleStrip | Mode::TriangleFan) => {
-            return Err(Error::file(path, format!("{place} is a {mode:?}; expected a list of triangles")));
-        }
-        _ => return Ok(None),
+    if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
+        return Ok(None);
     }
     check_accessors(path, place, primitive)?;
     let reader = primitive.reader(|buffer| buffers.get(buffer.index()).map(|data| data.0.as_slice()));
@@ -234,8 +262,25 @@ pub(crate) fn surface(
     }
     // A mirroring transform turns the winding around.
     let order = if world_from_node.determinant() < 0.0 { [0, 2, 1] } else { [0, 1, 2] };
-    let triangles = indices.chunks_exact(3).map(|t| order.map(|corner| t[corner])).collect();
+    let triangles = triangles(primitive.mode(), &indices).into_iter().map(|t| order.map(|corner| t[corner])).collect();
     Ok(Some(PrimitiveGeometry { positions, normals: padded(normals, count), uvs, triangles }))
+}
+
+/// The triangles of a list, a strip or a fan, as the specification orders their corners.
+fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
+    match mode {
+        Mode::TriangleStrip => {
+            // Every other one is wound the other way. Corners that are there twice lead from one strip to the next.
+            let triangle = |(i, t): (usize, &[u32])| [t[0], t[1 + i % 2], t[2 - i % 2]];
+            let joins = |t: &[u32; 3]| t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
+            indices.windows(3).enumerate().map(triangle).filter(|t| !joins(t)).collect()
+        }
+        Mode::TriangleFan => {
+            let hub = indices.first().copied().unwrap_or_default();
+            indices.windows(2).skip(1).map(|t| [t[0], t[1], hub]).collect()
+        }
+        _ => indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+    }
 }
 
 /// How many sets of coordinates a primitive has: TEXCOORD_0, counted even where it is missing, and those that follow it.

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use tempfile::TempDir;
 
 use super::*;
@@ -280,6 +282,44 @@ fn gltf_primitives_are_joined_under_their_nodes_transforms() {
     }
 }
 
+/// The square's corners in another order, wound as OpenGL has it, and the triangles that come of them.
+#[test]
+fn strips_and_fans_are_wound_as_lists_are() {
+    for mirrored in [false, true] {
+        // (mode, corners, triangles): the last two repeat corners, to end one strip and begin another.
+        for (mode, corners, count) in
+            [(5, &[1u16, 2, 0, 3][..], 2), (6, &[0, 1, 2, 3], 2), (5, &[1, 2, 0, 0, 0, 2, 3], 2), (6, &[0, 1, 2], 1)]
+        {
+            let MeshFile { mesh, warnings } = read_gltf(mirrored, |document| {
+                let corners: Vec<u16> = match (mirrored, mode) {
+                    (false, _) => corners.to_vec(),
+                    // In the node's own frame all is wound the other way.
+                    (true, 6) => [&corners[..1], &corners[1..].iter().rev().copied().collect::<Vec<_>>()].concat(),
+                    (true, _) => [&corners[..1], &corners].concat(),
+                };
+                let bytes: Vec<u8> = corners.iter().flat_map(|i| i.to_le_bytes()).collect();
+                let uri = format!("data:application/octet-stream;base64,{}", BASE64.encode(&bytes));
+                let push = |list: &mut serde_json::Value, value| list.as_array_mut().unwrap().push(value);
+                push(&mut document["buffers"], serde_json::json!({"byteLength": bytes.len(), "uri": uri}));
+                push(&mut document["bufferViews"], serde_json::json!({"buffer": 1, "byteLength": bytes.len()}));
+                let accessor = serde_json::json!(
+                    {"bufferView": 1, "componentType": 5123, "count": corners.len(), "type": "SCALAR"}
+                );
+                push(&mut document["accessors"], accessor);
+                let primitives = document["meshes"][0]["primitives"].as_array_mut().unwrap();
+                primitives.truncate(1);
+                (primitives[0]["mode"], primitives[0]["indices"]) = (mode.into(), 5.into());
+            })
+            .unwrap();
+            assert!(warnings.is_empty(), "{warnings:?}");
+            assert_eq!(mesh.triangles.len(), count, "mode {mode}, {corners:?}");
+            assert!((0..count).all(|t| mesh.face_normal(t as u32) == Vec3::Z), "mode {mode}, {corners:?}, {mirrored}");
+            let area: f32 = (0..count).map(|t| mesh.area(t as u32)).sum();
+            assert_eq!(area, 0.5 * count as f32, "no triangle is there twice");
+        }
+    }
+}
+
 #[test]
 fn what_gltf_says_in_vain_is_warned_about() {
     let MeshFile { mesh, warnings } = read_gltf(false, |document| {
@@ -307,8 +347,10 @@ fn damaged_gltf_is_an_error_that_says_where() {
         ("/accessors/3/count", 4000.into(), "indices reaches beyond"),
         ("/accessors/3/byteOffset", 8.into(), "uses vertex"),
         ("/nodes/1", serde_json::json!({"children": [0]}), "reached twice"),
-        ("/buffers/0/uri", "none.bin".into(), "cannot be read"),
-        ("/meshes/0/primitives/0/mode", 5.into(), "TriangleStrip"),
+        ("/buffers/0/uri", "not%20there.bin".into(), "buffers[0]: its file not there.bin cannot be read"),
+        ("/buffers/0/uri", "%ff.bin".into(), "buffers[0]: uri \"%ff.bin\" is no text"),
+        ("/buffers/0/uri", "data:;base64,!".into(), "buffers[0] cannot be read"),
+        ("/buffers/0/byteLength", 4000.into(), "buffers[0], a.bin, has 140 bytes; expected 4000"),
     ] {
         let error = spoil(pointer, value);
         assert!(error.contains("a.gltf") && error.contains(expected), "{pointer}: {error}");
