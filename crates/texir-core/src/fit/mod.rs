@@ -115,7 +115,8 @@ pub fn fit(
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let (mut tbl, atlas) = lighting(backend, (capture.tbl.as_deref(), &training), settings, progress)?;
+    let Lighting { mut tbl, atlas, views } =
+        lighting(backend, (capture.tbl.as_deref(), &training), settings, progress)?;
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
@@ -148,10 +149,9 @@ pub fn fit(
         seed: settings.seed,
         checkpoints,
     };
-    let training = memory::affordable(&training, (&scene.mesh, &atlas), settings, progress)?;
     let (materials, relit) = match settings.mode {
-        Mode::Paper => (paper::fit(backend, &ground, irradiance, &training, settings, progress, log)?, None),
-        Mode::Full => full::fit(backend, &ground, irradiance, &training, &settings.full, progress)?,
+        Mode::Paper => (paper::fit(backend, &ground, irradiance, &views, settings, progress, log)?, None),
+        Mode::Full => full::fit(backend, &ground, irradiance, &views, &settings.full, progress)?,
     };
     if let Some(radiance) = relit {
         tbl.radiance = radiance;
@@ -164,13 +164,21 @@ pub fn fit(
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
 }
 
+/// What a fit sets out with.
+struct Lighting {
+    tbl: Tbl,
+    atlas: Atlas,
+    /// The training views, as the fit of materials reads them.
+    views: Vec<View>,
+}
+
 /// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
 fn lighting(
     backend: &mut dyn Backend,
     (given, training): (Option<&Path>, &[View]),
     settings: &FitSettings,
     progress: &dyn Progress,
-) -> Result<(Tbl, Atlas)> {
+) -> Result<Lighting> {
     let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
     let size = match (settings.atlas_size, &given) {
         (0, Some(tbl)) => tbl.radiance.size(),
@@ -179,15 +187,17 @@ fn lighting(
     };
     let given = given.filter(|tbl| tbl.radiance.size() == size);
     let is_given = given.is_some();
+    let atlas = Atlas::new(backend, size.0, size.1)?;
+    // Before the first long step: what does not fit in memory is refused.
+    let views = memory::affordable(training, (&backend.scene().mesh, &atlas), settings, progress)?;
     let mut tbl = match given {
         Some(tbl) => tbl,
-        None => tbl::build(backend, training, size, &TblOptions::default(), progress)?,
+        None => tbl::build_in(backend, &atlas, training, &TblOptions::default(), progress)?,
     };
-    let atlas = Atlas::new(backend, size.0, size.1)?;
     if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
         tbl = tbl::resolve_sources(backend, &atlas, &tbl, training, progress)?;
     }
-    Ok((tbl, atlas))
+    Ok(Lighting { tbl, atlas, views })
 }
 
 /// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by their
@@ -250,7 +260,45 @@ impl Timings {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
+    use bytesize::ByteSize;
+
     use super::*;
+    use crate::fit::lit_square::{LitSquare, SIDE};
+
+    /// Takes down what is begun.
+    #[derive(Default)]
+    struct Begun(Mutex<Vec<String>>);
+
+    impl Progress for Begun {
+        fn start(&self, task: &str, _: u64, _: &str) {
+            self.0.lock().unwrap().push(task.to_owned());
+        }
+        fn advance(&self, _: u64) {}
+        fn finish(&self) {}
+        fn warn(&self, _: &str) {}
+        fn cancelled(&self) -> bool {
+            false
+        }
+    }
+
+    #[test]
+    fn too_little_memory_is_refused_before_anything_is_begun() {
+        let square = LitSquare::new();
+        let views = square.views(&Rgb::filled(SIDE, SIDE, [1.0; 3]), (16, 8));
+        let begun = |max_memory| {
+            let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
+            let progress = Begun::default();
+            let lit = lighting(&mut square.backend(), (None, &views), &settings, &progress);
+            (lit.map(|lit| lit.views.len()).map_err(|e| e.to_string()), progress.0.into_inner().unwrap())
+        };
+        let (refused, tasks) = begun(ByteSize(1));
+        assert!(refused.unwrap_err().contains("max_memory is 1 B") && tasks.is_empty(), "{tasks:?}");
+        // Negative control.
+        let (lit, tasks) = begun(ByteSize::gib(1));
+        assert!(lit == Ok(5) && tasks.contains(&"texture-based lighting".to_owned()), "{tasks:?}");
+    }
 
     #[test]
     fn what_a_lamp_reflects_is_not_emitted() {

@@ -100,8 +100,20 @@ pub fn build(
     options: &TblOptions,
     progress: &dyn Progress,
 ) -> Result<Tbl> {
+    let atlas = Atlas::new(backend, size.0, size.1)?;
+    build_in(backend, &atlas, views, options, progress)
+}
+
+/// [`build`] in an atlas that is there.
+pub(crate) fn build_in(
+    backend: &mut dyn Backend,
+    atlas: &Atlas,
+    views: &[View],
+    options: &TblOptions,
+    progress: &dyn Progress,
+) -> Result<Tbl> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    fuse(backend, &cameras, |i| photo(&views[i], progress), size, options, progress)
+    fuse(backend, atlas, &cameras, |i| photo(&views[i], progress), options, progress)
 }
 
 /// What may be used of a view.
@@ -112,16 +124,15 @@ fn photo(view: &View, progress: &dyn Progress) -> Result<Photo> {
 /// [`build`] from images that `load` gives by index.
 fn fuse(
     backend: &mut dyn Backend,
+    atlas: &Atlas,
     cameras: &[Camera],
     mut load: impl FnMut(usize) -> Result<Photo>,
-    size: (usize, usize),
     options: &TblOptions,
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     options.check()?;
-    let atlas = Atlas::new(backend, size.0, size.1)?;
     let scene = backend.scene().clone();
-    let fusion = Fusion { scene: &scene, atlas: &atlas, cameras, options, progress };
+    let fusion = Fusion { scene: &scene, atlas, cameras, options, progress };
     let radiance = fusion.blend(backend, &mut load, &atlas.points)?;
     if radiance.iter().all(Option::is_none) {
         return Err(Error::invalid(format!(

@@ -84,15 +84,19 @@ fn photograph(scene: &Arc<Scene>, camera: &Camera, radiance: impl Fn(Vec3, Vec3)
 }
 
 fn fuse_images(scene: &Arc<Scene>, cameras: &[Camera], images: &[Rgb], options: &TblOptions) -> Tbl {
-    fuse(
-        &mut CpuBackend::new(scene.clone()),
-        cameras,
-        |i| Ok(Photo::new(images[i].clone(), None)),
-        SIZE,
-        options,
-        &Silent,
-    )
-    .unwrap()
+    fused(scene, cameras, |i| Ok(Photo::new(images[i].clone(), None)), options).unwrap()
+}
+
+/// What [`fuse`] makes of images in an atlas of [`SIZE`].
+fn fused(
+    scene: &Arc<Scene>,
+    cameras: &[Camera],
+    load: impl FnMut(usize) -> Result<Photo>,
+    options: &TblOptions,
+) -> Result<Tbl> {
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1)?;
+    fuse(&mut backend, &atlas, cameras, load, options, &Silent)
 }
 
 /// Mean relative error of the texels that `kind` covers.
@@ -520,10 +524,10 @@ fn the_result_does_not_depend_on_the_order_of_views_or_the_run() {
 
 #[test]
 fn unusable_input_is_an_error() {
+    let scene = Scene::new(room()).unwrap();
     let inside = panorama(ROOM / 2.0, 0.0);
     let fails = |camera: Camera, image: Rgb, options: TblOptions, says: &str| {
-        let mut backend = CpuBackend::new(Scene::new(room()).unwrap());
-        let result = fuse(&mut backend, &[camera], |_| Ok(Photo::new(image.clone(), None)), SIZE, &options, &Silent);
+        let result = fused(&scene, &[camera], |_| Ok(Photo::new(image.clone(), None)), &options);
         let error = result.unwrap_err().to_string();
         assert!(error.contains(says), "{error}");
     };
@@ -588,7 +592,7 @@ fn masks_are_obeyed_but_hide_no_light() {
     rig.iter().for_each(|&pixel| unmasked.data[pixel] = false);
     let tbl = |mask: Option<Mask>| {
         let load = |_| Ok(Photo::new(image.clone(), mask.clone()));
-        fuse(&mut CpuBackend::new(scene.clone()), &[camera], load, SIZE, &TblOptions::default(), &Silent).unwrap()
+        fused(&scene, &[camera], load, &TblOptions::default()).unwrap()
     };
     let dark = |tbl: &Tbl| {
         let seen = tbl.coverage.data.iter().zip(&tbl.radiance.data).filter(|(c, _)| **c == Coverage::Seen);
