@@ -87,6 +87,7 @@ impl Config {
         for assignment in &common.set {
             let change: Table = assignment.parse().map_err(|_| {
                 Failure::new(format!("--set {assignment}: expected KEY=VALUE, the value as TOML has it"))
+                    .help("text needs quotes, and those need quotes of the shell, as in --set 'fit.mode=\"paper\"'")
             })?;
             merge(&mut table, change);
         }
@@ -159,6 +160,12 @@ mod tests {
         let config = Config::resolve(&common(&["--config", path, "--set", "fit.stage_two.enabled=false"])).unwrap();
         assert_eq!((config.fit.stage_two.enabled, config.fit.stage_two.quantile), (false, 0.3));
         assert!(Config::resolve(&common(&["--set", "fit.stage_two"])).is_err());
+        let error = format!("{:?}", Config::resolve(&common(&["--set", "fit.mode=paper"])).unwrap_err());
+        assert!(
+            error.contains("--set fit.mode=paper: expected KEY=VALUE") && error.contains("text needs quotes"),
+            "{error}"
+        );
+        assert!(Config::resolve(&common(&["--set", "fit.mode=\"paper\""])).is_ok());
         assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
     }
 

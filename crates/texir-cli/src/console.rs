@@ -73,9 +73,14 @@ impl Console {
         }
     }
 
+    /// Whether every detail is asked for.
+    pub fn is_verbose(&self) -> bool {
+        self.verbosity == Verbosity::Verbose
+    }
+
     /// Says a detail, when asked to be verbose.
     pub fn detail(&self, message: &str) {
-        if self.verbosity == Verbosity::Verbose {
+        if self.is_verbose() {
             self.line(message);
         }
     }

@@ -116,7 +116,7 @@ impl<'a> Renderer<'a> {
         &self.scene.mesh
     }
 
-    /// Rays per pixel.
+    /// Rays per pixel: those that were asked for, rounded, but no fewer than the tables need.
     pub fn rays_per_pixel(&self) -> u32 {
         self.sampling(Masking::default()).rays() * STRATA as u32
     }

@@ -185,8 +185,9 @@ impl Bake {
         let rays = if halved && self.spp >= 2 * kinds { self.spp.next_multiple_of(2 * kinds) } else { self.spp };
         let light = if self.cosine_only { 0 } else { rays / 2 };
         let gather = Gather::new(rays - light, light, session.config.fit.seed);
-        if self.error.is_some_and(|error| !(error > 0.0 && error.is_finite())) {
-            return Err(Failure::new("--error must be a number above 0: 0.02 is 2 % of a texel's luminance"));
+        if let Some(error) = self.error.filter(|error| !(*error > 0.0 && *error < 1.0)) {
+            let what = "it must be a share of a texel's luminance, above 0 and below 1: 0.02 is 2 %";
+            return Err(Failure::new(format!("--error is {error}; {what}")));
         }
         let halves = gather.cosine >= 2;
         if (self.error.is_some() || self.stderr) && !halves {

@@ -9,6 +9,7 @@ use texir_core::eval::{Evaluated, Evaluation, evaluate};
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::read_mesh;
 use texir_core::outputs::{CORRECTIONS, FitOutput, METRICS, RUN, Run};
+use texir_core::progress::Progress;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 use texir_core::text_file::read_text;
@@ -78,7 +79,18 @@ pub fn of_output(
     let mut backend = device::open(Scene::new(output.mesh.clone())?, session.config, session.console)?;
     let radiance = &output.tbl.radiance;
     let mut renderer = Renderer::new(backend.as_mut(), radiance, rays, session.config.fit.seed)?;
+    warn_of_rays(&renderer, rays, session);
     Ok(evaluate(&mut renderer, capture, &output.textures, session.console, show)?)
+}
+
+/// Says so where a renderer takes more rays than `asked` for.
+pub fn warn_of_rays(renderer: &Renderer<'_>, asked: u32, session: &Session<'_>) {
+    let taken = renderer.rays_per_pixel();
+    if taken > asked {
+        session
+            .console
+            .warn(&format!("--spp is {asked}, but highlights need {taken} rays per pixel at least, and take those"));
+    }
 }
 
 /// The given capture, or the one that `out` was fitted to, with its views corrected as the fit corrected them.

@@ -36,6 +36,9 @@ const OUTSIDE: f64 = 0.3;
 /// A camera that sees more back faces than this is taken to be inside a solid, or the mesh to be turned inside out.
 const INSIDE_OUT: f64 = 0.3;
 
+/// Rows of the table of cameras, unless all are asked for.
+const ROWS: usize = 30;
+
 /// Masks that leave out more than this share of all pixels are taken to be inverted.
 const MASKED: f64 = 0.9;
 
@@ -169,7 +172,8 @@ impl Inspect {
             overlay::write(&mut backend, &capture.views, folder, session.console)?;
         }
         let findings = inspect(&capture, origin, session)?;
-        session.print(&findings, || text(&findings))
+        let rows = if session.console.is_verbose() { usize::MAX } else { ROWS };
+        session.print(&findings, || text(&findings, rows))
     }
 
     /// A capture as every command loads it; other programs' files as they would be after an import.
@@ -448,7 +452,8 @@ fn warnings(findings: &Findings) -> Vec<String> {
     warnings
 }
 
-fn text(findings: &Findings) -> String {
+/// The findings in words, with a row each for as many cameras.
+fn text(findings: &Findings, rows: usize) -> String {
     let Findings { origin, mesh, atlas, known, estimate, .. } = findings;
     let mut out = String::new();
     let mut line = |name: &str, value: String| out.push_str(&format!("{name:>16}  {value}\n"));
@@ -512,15 +517,31 @@ fn text(findings: &Findings) -> String {
             estimate.memory as f64 / 1e9
         ),
     );
-    out.push_str(&cameras(&findings.views));
+    out.push_str(&cameras(&findings.views, rows));
+    if let Some(left @ 1..) = findings.views.len().checked_sub(rows) {
+        out.push_str(&format!("… {left} more, with -v; {}\n", summary(findings)));
+    }
     for warning in &findings.warnings {
         out.push_str(&format!("warning: {warning}\n"));
     }
     out.trim_end().to_owned()
 }
 
-/// A table of the cameras.
-fn cameras(views: &[ViewFindings]) -> String {
+/// All cameras in a line.
+fn summary(findings: &Findings) -> String {
+    let Known { train, novel, semantic, mask, .. } = findings.known;
+    let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    findings.views.iter().for_each(|view| *sizes.entry((view.width, view.height)).or_default() += 1);
+    let sizes: Vec<String> = sizes.iter().map(|((w, h), count)| format!("{count} of {w} × {h}")).collect();
+    format!(
+        "in all {train} train and {novel} novel, {}; {semantic} with semantics, {mask} with masks",
+        sizes.join(", ")
+    )
+}
+
+/// A table of as many cameras as there are to be `rows`.
+fn cameras(views: &[ViewFindings], rows: usize) -> String {
+    let views = &views[..rows.min(views.len())];
     let width = views.iter().map(|v| v.name.chars().count()).max().unwrap_or(0).max(6);
     let mut out =
         format!("\n{:<width$}  split  projection       size         open  behind  above floor  nearest\n", "camera");

@@ -61,6 +61,7 @@ impl Render {
         let mut backend = device::open(Scene::new(output.mesh)?, session.config, session.console)?;
         let radiance = &output.tbl.radiance;
         let mut renderer = Renderer::new(backend.as_mut(), radiance, self.spp, session.config.fit.seed)?;
+        eval::warn_of_rays(&renderer, self.spp, session);
         let gain = self.exposure.exp2();
         let mut written = Vec::with_capacity(views.len());
         session.console.start("rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");

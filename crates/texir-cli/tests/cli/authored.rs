@@ -85,6 +85,9 @@ fn scenes_that_cannot_be_baked_say_why() {
     bake(&scene.with_extension("exr"), &[]).complains(&["scene.glb", "--output"]);
     bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
     bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance"]);
+    for share in ["2", "1", "0", "nan"] {
+        bake(&out, &["--error", share]).complains(&["--error is", "above 0 and below 1"]);
+    }
     bake(&out, &["--max-memory", "1MiB"]).complains(&["limit of memory is 1.0 MiB", "32×32", "raise it"]);
     assert!(!out.exists() && !out.with_extension("exr.partial").exists());
     // What is read is not written over, and what cannot be written is told before the bake.

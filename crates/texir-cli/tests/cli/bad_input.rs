@@ -270,7 +270,9 @@ fn outputs_that_would_replace_what_they_are_made_of() {
     let render = [o("render"), out.as_os_str(), o("--cameras"), of, o("--spp"), o("1"), o("-o")];
     keeps(&image, &[&render[..], &[folder]].concat(), &inside);
     keeps(&out.join("scene.glb"), &[&render[..], &[out.as_os_str()]].concat(), &inside);
-    succeed(&[&render[..], &[capture.out("views").as_os_str()]].concat());
+    let said = succeed(&[&render[..], &[capture.out("views").as_os_str()]].concat());
+    said.complains(&["--spp is 1", "96 rays per pixel"]);
+    assert_eq!(said.err.matches("--spp is").count(), 1, "{}", said.err);
 }
 
 #[test]

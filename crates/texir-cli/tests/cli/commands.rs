@@ -66,6 +66,34 @@ fn assert_metrics(metrics: &Value) {
 }
 
 #[test]
+fn inspect_sums_up_many_views() {
+    let capture = Capture::new();
+    let inspect = |more: &[&str]| {
+        let more: Vec<_> = more.iter().map(AsRef::as_ref).collect();
+        succeed(&[&["inspect".as_ref(), capture.path().as_os_str()], &more[..]].concat()).out
+    };
+    let add = |from: usize, to: usize| {
+        capture.edit(|document| {
+            for i in from..to {
+                std::fs::copy(capture.file("hdr/a.exr"), capture.file(&format!("hdr/more_{i}.exr"))).unwrap();
+                let matrix = document["frames"][0]["transform_matrix"].clone();
+                let frame = serde_json::json!({ "file_path": format!("hdr/more_{i}.exr"), "transform_matrix": matrix, "split": "train" });
+                document["frames"].as_array_mut().unwrap().push(frame);
+            }
+        });
+    };
+    add(VIEWS.len(), 30);
+    let all = inspect(&[]);
+    assert!(all.contains("\nmore_29 ") && !all.contains("with -v"), "{all}");
+    add(30, 32);
+    let some = inspect(&[]);
+    let summary = "… 2 more, with -v; in all 31 train and 1 novel, 32 of 32 × 16; 4 with semantics, 4 with masks";
+    assert!(some.contains("\nmore_29 ") && !some.contains("\nmore_30 ") && some.contains(summary), "{some}");
+    let all = inspect(&["-v"]);
+    assert!(all.contains("\nmore_31 ") && !all.contains("with -v"), "{all}");
+}
+
+#[test]
 fn inspect_says_what_is_there() {
     let capture = Capture::new();
     let said = succeed(&["inspect".as_ref(), capture.path().as_os_str(), "--json".as_ref()]);
@@ -111,8 +139,10 @@ fn fit_render_eval_and_report_on_the_cpu() {
     let said = succeed(&[&arguments[..], &["--backend".as_ref(), "cpu".as_ref()]].concat());
     assert_metrics(&json(&said.out));
     assert_eq!(json(&said.out)["samples"], 256);
+    assert!(!said.err.contains("--spp is"), "{}", said.err);
     std::fs::remove_file(out.join("report.html")).unwrap();
     let said = succeed(&["report".as_ref(), out.as_os_str(), "--spp".as_ref(), "8".as_ref(), "-q".as_ref()]);
+    said.complains(&["--spp is 8", "96 rays per pixel"]);
     assert!(said.out.contains("report.html") && said.out.contains("Novel views"), "{}", said.out);
     assert_self_contained(&out.join("report.html"));
 }

@@ -91,13 +91,22 @@ pub fn affordable(
         _ => format!(", the others at 1/{}", factor - 1),
     };
     progress.warn(&format!(
-        "{} of the {} views are read at 1/{factor} of their width and height{others}: {:.1} M pixels of {:.1} M, as {why}",
+        "{} of the {} views are read at 1/{factor} of their width and height{others}: {} pixels of {}, as {why}",
         views.len() - finer,
         views.len(),
-        all as f64 / 1e6,
-        pixels as f64 / 1e6
+        counted(all),
+        counted(pixels)
     ));
     Ok(read)
+}
+
+/// A number with as many digits as one reads.
+fn counted(number: u64) -> String {
+    match number {
+        0..10_000 => number.to_string(),
+        10_000..1_000_000 => format!("{:.0} thousand", number as f64 / 1e3),
+        _ => format!("{:.1} million", number as f64 / 1e6),
+    }
 }
 
 /// All of `0..count` in an order whose first few are spread over the whole: by the fractions of multiples of the golden section.
@@ -114,6 +123,7 @@ mod tests {
 
     use super::*;
     use crate::camera::{Camera, Projection};
+    use crate::capture::tests::Warnings;
     use crate::fit::lit_square::LitSquare;
     use crate::progress::Silent;
     use crate::raster::Rgb;
@@ -160,6 +170,20 @@ mod tests {
         assert_eq!(some.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 2, 1, 2, 2]);
         let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
         assert!(none.contains("max_memory") && none.contains("atlas_size"), "{none}");
+    }
+
+    #[test]
+    fn what_is_read_is_told_in_digits_that_say_something() {
+        let square = LitSquare::new();
+        let warnings = Warnings::default();
+        let views = square.views(&texture(), (32, 16));
+        affordable(&views, (&square.scene.mesh, &square.atlas), &FitSettings::default(), &warnings).unwrap();
+        let said = warnings.all();
+        assert!(said.len() == 1 && said[0].contains("160 pixels of 2560, as the atlas"), "{said:?}");
+        assert_eq!(
+            [9999, 10_400, 999_000, 1_260_000].map(counted),
+            ["9999", "10 thousand", "999 thousand", "1.3 million"]
+        );
     }
 
     #[test]
