@@ -403,7 +403,7 @@ fn spots_without_a_cone_are_refused() {
         document["extensions"]["KHR_lights_punctual"]["lights"][0] =
             json!({ "type": "spot", "spot": { "innerConeAngle": inner, "outerConeAngle": outer } });
         std::fs::write(&scene, document.to_string()).unwrap();
-        read_gltf(&scene, 16, &Silent).map(drop).map_err(|e| e.to_string())
+        read_gltf(&scene, 16, Reflected::Diffusely, &Silent).map(drop).map_err(|e| e.to_string())
     };
     for (inner, outer) in [(0.75, 0.5), (0.5, 2.0), (-0.5, 0.5)] {
         let error = read(inner, outer).unwrap_err();
@@ -425,9 +425,9 @@ fn lightmaps_without_room_for_a_chart_are_refused_before_unwrapping() {
     let scene = write_squares(folder.path(), &[(&[], None)], json!({}));
     let progress = crate::progress::Silent;
     for size in [1, 4] {
-        let error = read_gltf(&scene, size, &progress).map(drop).unwrap_err().to_string();
+        let error = read_gltf(&scene, size, Reflected::Diffusely, &progress).map(drop).unwrap_err().to_string();
         assert!(error.contains(&format!("{size}×{size} texels; expected at least 5")), "{error}");
     }
     // Negative control.
-    assert_eq!(read_gltf(&scene, 5, &progress).unwrap().size[0], 5);
+    assert_eq!(read_gltf(&scene, 5, Reflected::Diffusely, &progress).unwrap().size[0], 5);
 }

@@ -524,7 +524,7 @@ fn the_result_does_not_depend_on_the_order_of_views_or_the_run() {
 
 #[test]
 fn unusable_input_is_an_error() {
-    let scene = Scene::new(room()).unwrap();
+    let scene = Arc::new(Scene::new(room()).unwrap());
     let inside = panorama(ROOM / 2.0, 0.0);
     let fails = |camera: Camera, image: Rgb, options: TblOptions, says: &str| {
         let result = fused(&scene, &[camera], |_| Ok(Photo::new(image.clone(), None)), &options);
