@@ -94,8 +94,8 @@ pub struct FitResult {
     pub timings: Vec<(String, f64)>,
 }
 
-/// Fits a capture, of whose mesh the backend's scene is; `log` receives one entry per epoch of paper mode. With `checkpoints` of the same
-/// [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
+/// Fits a capture, whose mesh the backend's scene has; `log` receives one entry per epoch of paper mode. With `checkpoints` of
+/// the same [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
 pub fn fit(
     backend: &mut dyn Backend,
     capture: &Capture,
