@@ -295,7 +295,7 @@ fn strips_and_fans_are_wound_as_lists_are() {
                     (false, _) => corners.to_vec(),
                     // In the node's own frame all is wound the other way.
                     (true, 6) => [&corners[..1], &corners[1..].iter().rev().copied().collect::<Vec<_>>()].concat(),
-                    (true, _) => [&corners[..1], &corners].concat(),
+                    (true, _) => [&corners[..1], corners].concat(),
                 };
                 let bytes: Vec<u8> = corners.iter().flat_map(|i| i.to_le_bytes()).collect();
                 let uri = format!("data:application/octet-stream;base64,{}", BASE64.encode(&bytes));
