@@ -62,10 +62,8 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
     let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive].per_area > 0.0);
-    if hit.primitive == MISS {
-        return vec4f(beyond_mesh(environment_towards(direction), cosine), 0.0);
-    }
-    return vec4f(light, select(0.0, 1.0, back));
+    let beyond = beyond_mesh(environment_towards(direction), cosine);
+    return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
 }
 
 // L cosθ / (n_c cosθ/π + n_s p_s) of what arrives from the environment: radiance, and p_s.

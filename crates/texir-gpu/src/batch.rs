@@ -180,8 +180,13 @@ impl Context {
         steps: &mut G,
     ) -> Result<()> {
         let span = shape.lanes * shape.rays;
-        for first in (0..items).step_by(BATCH_BYTES / G::ITEM_BYTES) {
-            let count = (items - first).min(BATCH_BYTES / G::ITEM_BYTES);
+        let mut first = 0;
+        while first < items {
+            // What one dispatch of the fastest technique holds; those of slower ones, and of one that has become slow, hold less of it.
+            let longest = |technique: usize| u64::from(samples[technique].min(span));
+            let at_once = |technique| self.items(steps.kernel(technique), longest(technique));
+            let most = (0..TECHNIQUES).filter(|&t| samples[t] > 0).map(at_once).max().unwrap_or(1);
+            let count = (items - first).min(most).min(BATCH_BYTES / G::ITEM_BYTES);
             let batch = steps.upload(self, first..first + count)?;
             for (technique, samples) in samples.into_iter().enumerate() {
                 for sample in (0..samples).step_by(span as usize) {
@@ -197,6 +202,7 @@ impl Context {
                 }
             }
             steps.collect(self, batch, count)?;
+            first += count;
         }
         Ok(())
     }
