@@ -364,7 +364,7 @@ fn punctual(light: &gltf::khr_lights_punctual::Light, world_from_node: Mat4) -> 
 
 /// Errors on angles of a spot by which it would shine nowhere, or behind itself.
 fn check_cone(inner: f32, outer: f32) -> Result<()> {
-    if 0.0 <= inner && inner <= outer && outer <= FRAC_PI_2 + ROUNDED {
+    if 0.0 <= inner && inner <= outer + ROUNDED && outer <= FRAC_PI_2 + ROUNDED {
         return Ok(());
     }
     Err(Error::invalid(format!(

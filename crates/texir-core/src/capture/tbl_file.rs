@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Coverage, Tbl};
 use crate::error::{Error, Result};
-use crate::image_io::{check_square, read_labels, read_rgb, sanitise_radiance, write_png_labels, write_rgb};
+use crate::image_io::{read_labels, read_rgb, sanitise_radiance, write_png_labels, write_rgb};
 use crate::progress::Progress;
 
 const SEEN: u16 = 255;
@@ -19,12 +19,19 @@ impl Tbl {
         path.with_file_name(name)
     }
 
-    /// Reads an HDR texture, which must be square, and its mask. Without a mask, texels with any light count as seen and black ones as outside
+    /// Reads an HDR texture and its mask. Without a mask, texels with any light count as seen and black ones as outside
     /// the charts.
     pub fn read(path: impl AsRef<Path>, progress: &dyn Progress) -> Result<Self> {
         let path = path.as_ref();
         let mut radiance = read_rgb(path)?;
-        check_square(path, radiance.size())?;
+        let (width, height) = radiance.size();
+        if width != height {
+            // An atlas may have any sides; views and skies, which were given in its place, are twice as wide as high.
+            progress.warn(&format!(
+                "{}: is {width}×{height} texels, and atlases are square as a rule: is it the HDR texture of this mesh, and not a view?",
+                path.display()
+            ));
+        }
         let found = sanitise_radiance(&mut radiance, 0.0);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", path.display()));

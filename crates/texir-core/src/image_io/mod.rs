@@ -126,20 +126,6 @@ pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
     Ok((width, height))
 }
 
-/// Errors where what was read as a texture of an atlas is not square: all atlases are.
-pub(crate) fn check_square(path: &Path, (width, height): (usize, usize)) -> Result<()> {
-    if width == height {
-        return Ok(());
-    }
-    Err(Error::file(
-        path,
-        format!(
-            "is {width}×{height} texels; expected a square atlas: give the texture that belongs to the mesh, neither cropped nor \
-             a view of the scene"
-        ),
-    ))
-}
-
 /// Errors when the file ends before its pixels do, as after an interrupted copy. OpenEXR is read without decompressing it:
 /// looking through a whole capture costs little more than reading it from the disk.
 pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {

@@ -6,7 +6,6 @@ use std::path::Path;
 use bytemuck::Pod;
 
 use crate::error::{Error, Result};
-use crate::image_io::check_square;
 use crate::progress::Progress;
 use crate::raster::Raster;
 
@@ -15,15 +14,14 @@ pub(super) const SHARE: RangeInclusive<f32> = 0.0..=1.0;
 /// What light can be.
 pub(super) const LIGHT: RangeInclusive<f32> = 0.0..=f32::MAX;
 
-/// The texture from `path`, of pixels that are nothing but `f32` channels, which must be square. Texels that are no numbers are an error: nothing is
-/// known of what they should be. Values out of range are taken for the nearest one within, with a warning.
+/// The texture from `path`, of pixels that are nothing but `f32` channels. Texels that are no numbers are an error: nothing is known of what they should
+/// be. Values out of range are taken for the nearest one within, with a warning.
 pub(super) fn checked<T: Pod>(
     path: &Path,
     mut texture: Raster<T>,
     range: RangeInclusive<f32>,
     progress: &dyn Progress,
 ) -> Result<Raster<T>> {
-    check_square(path, texture.size())?;
     let (width, texels) = (texture.width, texture.data.len());
     let channels = size_of::<T>() / size_of::<f32>();
     let values: &mut [f32] = bytemuck::cast_slice_mut(&mut texture.data);
@@ -72,13 +70,6 @@ mod tests {
         let texture = Raster::new(2, 2, pixels.to_vec()).unwrap();
         let checked = checked(Path::new("albedo.exr"), texture, range, &warnings);
         (checked.map(|texture| texture.data), warnings.all())
-    }
-
-    #[test]
-    fn textures_that_are_not_square_are_refused() {
-        let error = checked(Path::new("albedo.exr"), Raster::filled(4, 2, [0.5f32; 3]), SHARE, &Warnings::default());
-        let error = error.unwrap_err().to_string();
-        assert!(error.contains("albedo.exr: is 4×2 texels; expected a square atlas"), "{error}");
     }
 
     #[test]
