@@ -141,10 +141,7 @@ impl Bake {
         let scene = backend.scene().clone();
         let radiance = match given {
             Light::Texture(radiance) => radiance,
-            Light::Views(capture) => {
-                let size = self.size.unwrap_or(texir_core::tbl::DEFAULT_SIZE);
-                tbl::build(backend.as_mut(), &capture, size, session)?.radiance
-            }
+            Light::Views(capture) => tbl::build(backend.as_mut(), &capture, self.size, session)?.radiance,
         };
         let size @ [width, height] = self.size.map_or([radiance.width, radiance.height], |side| [side, side]);
         let workspace = match self.max_memory {

@@ -227,9 +227,10 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     let settings = &session.config.fit;
     let mesh = &capture.mesh;
     let tbl = capture.tbl.as_ref().map(|path| Tbl::read(path, session.console)).transpose()?;
+    let training: Vec<View> = capture.views(Split::Train).cloned().collect();
     let size = match (settings.atlas_size, tbl) {
         (0, Some(tbl)) => tbl.radiance.width,
-        (0, None) => texir_core::tbl::DEFAULT_SIZE,
+        (0, None) => memory::default_side(&training, mesh, settings),
         (size, _) => size,
     };
     let area = area(mesh);
@@ -244,7 +245,6 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     };
     let mut backend = CpuBackend::new(Scene::new(mesh.clone())?);
     let views = capture.views.iter().map(|view| probe(&mut backend, view)).collect::<Result<Vec<_>, _>>()?;
-    let training: Vec<View> = capture.views(Split::Train).cloned().collect();
     let (low, high) = mesh.bounds();
     let mut unreadable = Vec::new();
     let blur = match origin.capture {

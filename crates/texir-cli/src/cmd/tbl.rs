@@ -24,9 +24,9 @@ pub struct Tbl {
     /// The HDR texture; its coverage mask goes beside it, as NAME_mask.png
     #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
     output: PathBuf,
-    /// Side of the texture, texels
-    #[arg(long, value_name = "N", default_value_t = tbl::DEFAULT_SIZE)]
-    size: usize,
+    /// Side of the texture, texels [default: 1024, or 2048 where the training views have more pixels than that has texels]
+    #[arg(long, value_name = "N")]
+    size: Option<usize>,
 }
 
 /// What `--json` prints.
@@ -42,7 +42,7 @@ struct Summary {
 impl Tbl {
     /// Builds and writes the texture.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        check_side(self.size)?;
+        self.size.map_or(Ok(()), check_side)?;
         if self.capture.tbl.is_some() {
             return Err(Failure::new("--tbl names an HDR texture, which is what this command makes of the views")
                 .help("leave it out; --output says where the texture goes"));
@@ -71,13 +71,14 @@ impl Tbl {
     }
 }
 
-/// The texture-based lighting of a capture's training views.
+/// The texture-based lighting of a capture's training views, with so many texels a side or as many as suit the views.
 pub fn build(
     backend: &mut dyn Backend,
     capture: &Capture,
-    size: usize,
+    size: Option<usize>,
     session: &Session<'_>,
 ) -> Result<capture::Tbl, Failure> {
     let views: Vec<View> = capture.views(Split::Train).cloned().collect();
-    Ok(tbl::build(backend, &views, (size, size), &TblOptions::default(), session.console)?)
+    let side = size.unwrap_or_else(|| tbl::default_side(&views));
+    Ok(tbl::build(backend, &views, (side, side), &TblOptions::default(), session.console)?)
 }

@@ -9,6 +9,7 @@ use crate::fit::settings::{FitSettings, Mode};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::scene::Scene;
+use crate::tbl;
 
 /// Pixels of all views together per valid texel, at most: finer images know nothing more about the texels.
 const PIXELS_PER_TEXEL: u64 = 4;
@@ -33,6 +34,13 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
 pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u64, mesh: &Mesh) -> ByteSize {
     let (texel, pixel) = bytes_of(settings);
     ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + Scene::memory(mesh))
+}
+
+/// Side of the atlas of a fit that is told none: [`tbl::default_side`], as far as its textures leave half of the memory to views.
+pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usize {
+    let side = tbl::default_side(views);
+    let textures = needed(settings, (side, side), 0, mesh).0;
+    if 2 * textures <= settings.max_memory.0 { side } else { tbl::DEFAULT_SIZE }
 }
 
 /// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the fit
@@ -132,6 +140,23 @@ mod tests {
     fn texture() -> Rgb {
         let side = crate::fit::lit_square::SIDE;
         Rgb { width: side, height: side, data: (0..side * side).map(|i| [1.0 + i as f32, 2.0, 3.0]).collect() }
+    }
+
+    #[test]
+    fn an_atlas_that_nobody_asked_for_holds_what_views_show_as_far_as_memory_does() {
+        let square = LitSquare::new();
+        let mesh = &square.scene.mesh;
+        let settings = FitSettings::default();
+        let views = |width, height, count: usize| {
+            let view = square.views(&texture(), (8, 4)).swap_remove(0);
+            vec![View { camera: Camera { width, height, ..view.camera }, ..view }; count]
+        };
+        assert_eq!(default_side(&[], mesh, &settings), 1024);
+        assert_eq!(default_side(&views(1024, 512, 2), mesh, &settings), 1024, "a pixel for every texel");
+        assert_eq!(default_side(&views(1024, 512, 3), mesh, &settings), 2048);
+        assert_eq!(default_side(&views(8192, 4096, 30), mesh, &settings), 2048);
+        let little = FitSettings { max_memory: bytesize::ByteSize::mib(600), ..settings };
+        assert_eq!(default_side(&views(1024, 512, 3), mesh, &little), 1024);
     }
 
     #[test]

@@ -182,7 +182,10 @@ fn lighting(
     let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
     let size = match (settings.atlas_size, &given) {
         (0, Some(tbl)) => tbl.radiance.size(),
-        (0, None) => (tbl::DEFAULT_SIZE, tbl::DEFAULT_SIZE),
+        (0, None) => {
+            let side = memory::default_side(training, &backend.scene().mesh, settings);
+            (side, side)
+        }
         (size, _) => (size, size),
     };
     let given = given.filter(|tbl| tbl.radiance.size() == size);

@@ -37,8 +37,15 @@ use joined::Joined;
 use photo::Photo;
 use sample::Sampler;
 
-/// Side of the atlas, texels, when nobody says.
+/// Side of the atlas, texels, where neither anybody nor views say.
 pub const DEFAULT_SIZE: usize = 1024;
+
+/// Side of the atlas, texels, when nobody says: [`DEFAULT_SIZE`], or twice that where views have more pixels than such an atlas has texels,
+/// as it would hold less than they show.
+pub fn default_side(views: &[View]) -> usize {
+    let pixels: usize = views.iter().map(|view| view.camera.pixels()).sum();
+    if pixels > DEFAULT_SIZE * DEFAULT_SIZE { 2 * DEFAULT_SIZE } else { DEFAULT_SIZE }
+}
 
 /// How views are joined into a TBL.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
