@@ -1,6 +1,6 @@
 //! Steps of a long computation that are kept until all of it is done, so that one that was stopped goes on where it was.
 //!
-//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed: a step that a lost disk
+//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed: a step that a failing disk
 //! or a power cut has changed does not have the sum that it was written with, and is computed again.
 
 use std::collections::{BTreeMap, HashMap};

@@ -20,9 +20,9 @@ use super::texture::{Colour, Texture, decoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
+use crate::brdf::DIELECTRIC_SPECULAR;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
-use crate::fit::diffused::SPECULAR;
 use crate::image_io::TransferCurve;
 use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
@@ -68,7 +68,7 @@ pub(crate) struct Part {
 pub enum Reflected {
     /// Base colour alone: surfaces are Lambertian.
     Diffusely,
-    /// What dielectrics reflect specularly as well, as if they sent it everywhere: [`SPECULAR`] of uniform light.
+    /// What dielectrics reflect specularly as well, as if they sent it everywhere: [`DIELECTRIC_SPECULAR`] of uniform light.
     InAll,
 }
 
@@ -264,7 +264,7 @@ impl Model {
             Some(hit.interpolate(corners.map(|i| uvs[i])))
         };
         let Shading { albedo, emission, metal, .. } = &self.shading[shading];
-        let specular = metal.as_ref().map_or(0.0, |metal| SPECULAR * (1.0 - metal.at(uv, &self.images).z));
+        let specular = metal.as_ref().map_or(0.0, |metal| DIELECTRIC_SPECULAR * (1.0 - metal.at(uv, &self.images).z));
         [(albedo.at(uv, &self.images) + specular).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]
     }
 }

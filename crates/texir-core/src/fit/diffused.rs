@@ -11,12 +11,9 @@ use std::f32::consts::FRAC_1_PI;
 use super::Materials;
 use crate::atlas::Atlas;
 use crate::bake::PADDING;
+use crate::brdf::DIELECTRIC_SPECULAR;
 use crate::capture::{Coverage, Tbl};
 use crate::raster::{Mask, Rgb};
-
-/// What a dielectric (F0 = 0.04) reflects specularly of uniform light, ∫ F D G / (4 cos_o cos_i) cos_i dω averaged over cos_o:
-/// from 0.04 (rough) to 0.08 (smooth).
-pub const SPECULAR: f32 = 0.06;
 
 /// Radiance that every texel sends. Light sources, metals, and what is captured though none of the pixels fitted shows it
 /// (`is_fitted`, per texel) send what was captured.
@@ -29,7 +26,7 @@ pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask
             return tbl.radiance.data[t];
         }
         let (albedo, irradiance) = (materials.albedo.data[t], materials.irradiance.data[t]);
-        std::array::from_fn(|c| (albedo[c] + SPECULAR) * irradiance[c] * FRAC_1_PI)
+        std::array::from_fn(|c| (albedo[c] + DIELECTRIC_SPECULAR) * irradiance[c] * FRAC_1_PI)
     };
     let sent: Vec<[f32; 3]> = atlas.texels.iter().zip(is_fitted).map(sent).collect();
     atlas.scatter_padded(&sent, &vec![true; sent.len()], [0.0; 3], PADDING)
@@ -91,7 +88,7 @@ mod tests {
         let is_lamp: Vec<bool> = atlas.points.iter().map(|p| near_lamp(p.position.into())).collect();
         let emission = |i: usize| if is_lamp[i] { 30.0 } else { 0.0 };
         let surfaces = Surfaces {
-            albedo: map(&|_| ALBEDO + SPECULAR),
+            albedo: map(&|_| ALBEDO + DIELECTRIC_SPECULAR),
             emission: map(&emission),
             lights: Vec::new(),
             environment: None,
@@ -111,7 +108,7 @@ mod tests {
         // twice as bright towards the views as on average.
         let hidden = |i: usize| atlas.points[i].normal[0] > 0.5;
         let glossy = |i: usize| atlas.points[i].normal[2] > 0.5 && atlas.points[i].position[1] < 1.5;
-        let reflected = |i: usize| (ALBEDO + SPECULAR) * FRAC_1_PI * truth[i];
+        let reflected = |i: usize| (ALBEDO + DIELECTRIC_SPECULAR) * FRAC_1_PI * truth[i];
         let captured = map(&|i| {
             emission(i)
                 + reflected(i)
