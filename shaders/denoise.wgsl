@@ -2,8 +2,8 @@
 // whence). Five passes: `smooth_halves`, `measure_noise`, `regress`, `clean`, `conserve`.
 //
 // In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the cells that
-// they are searched in. Per point, `regress` and `conserve` read some 400 others (32 bytes, and what those that are near enough
-// hold), of which about 200 enter the former's 6 × 6 systems, one for each half; the other passes read about 150.
+// they are searched in. Per point, `regress` and `conserve` read some 550 others (32 bytes, and what those that are near enough
+// hold), of which about 310 enter the former's 6 × 6 systems, one for each half; the other passes read about 100.
 
 #import math
 #import sampling
@@ -67,6 +67,7 @@ struct DenoiseParams {
     miss_radius: f32,
     tolerance: f32,
     curvature: f32,
+    chance: f32,
     significant: f32,
     ridge: f32,
     same_way: f32,
@@ -75,9 +76,9 @@ struct DenoiseParams {
     tiny: f32,
 }
 
-// Columns of cells around one: within one cell, and within two.
+// Columns of cells around one: within one cell, and within three.
 const NEAR_COLUMNS: u32 = 9u;
-const COLUMNS: u32 = 25u;
+const COLUMNS: u32 = 49u;
 
 @group(1) @binding(0) var<uniform> params: DenoiseParams;
 @group(1) @binding(1) var<storage, read> entries: array<Entry>;
@@ -289,7 +290,7 @@ fn regress(
             let differences = vec2f(square(guide.b - guide_there.b), square(guide.a - guide_there.a));
             let beyond = max(differences - own_noise.smoothed, vec2f(0.0));
             let alike = 1.0 + beyond / (own_noise.smoothed * params.tolerance * params.tolerance);
-            let weights = near.w * near.w / (alike * alike);
+            let weights = near.w / (alike * alike);
             a = add_to(a, weights.x, monomials, other.a);
             b = add_to(b, weights.y, monomials, other.b);
         }
@@ -330,8 +331,8 @@ fn clean(
             variance += near * square(a - b) / (4.0 * level);
         }
     }
-    // Wiener's weight; halves that agree by chance share about as much as their noise.
-    let signal = max(shared_part - variance, 0.0);
+    // Wiener's weight, of what is more than chance.
+    let signal = max(shared_part - variance * params.chance, 0.0);
     let kept = select(0.0, signal / (signal + variance), signal > 0.0);
     let fit = (fits[i].a + fits[i].b) * 0.5;
     cleaned[i] = vec4f(fit + ((estimate.a + estimate.b) * 0.5 - fit) * kept, 0.0);

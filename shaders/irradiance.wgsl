@@ -31,7 +31,9 @@ struct IrradianceParams {
     seed: u32,
     // Which stretch of its own sequences a point draws: sample 0 is their point part · n_c, part · n_l or part · n_s;
     part: u32,
-    // or, unless 0, how many texels wide the map is whose blocks of Z_SIDE² share sequences.
+    // or which of how many parts of a texel's stretch,
+    parts: u32,
+    // where this is not 0: how many texels wide the map is whose blocks of Z_SIDE² share sequences.
     width: u32,
     // Rows of the environment with bright pixels.
     sky_rows: u32,
@@ -94,7 +96,7 @@ fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
         let at = vec2u(point.sequence % params.width, point.sequence / params.width);
         let block = at / Z_SIDE;
         seed = hash2(params.seed, block.y * ((params.width + Z_SIDE - 1u) / Z_SIDE) + block.x);
-        stretch = along_z_curve(at % Z_SIDE, hash2(seed, 0u));
+        stretch = along_z_curve(at % Z_SIDE, hash2(seed, 0u)) * params.parts + params.part;
     }
     let table = light_table(point.position, point.normal);
     return Share(item, thread % LANES, item < params.end_item, point, seed, stretch, table);

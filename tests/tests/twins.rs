@@ -159,10 +159,16 @@ fn irradiance_gather() {
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
     let own = |part| Sequences::Own { part };
     // In a narrow map the points lie in blocks below each other, in a wide one beside each other.
-    let shared = |width| Sequences::Shared { width };
-    for (cosine, light, sequences) in
-        [(5, 0, own(0)), (64, 0, own(0)), (64, 64, own(1)), (33, 100, own(2)), (64, 64, shared(40)), (33, 9, shared(3))]
-    {
+    let shared = |width, part, parts| Sequences::Shared { width, part, parts };
+    for (cosine, light, sequences) in [
+        (5, 0, own(0)),
+        (64, 0, own(0)),
+        (64, 64, own(1)),
+        (33, 100, own(2)),
+        (64, 64, shared(40, 0, 1)),
+        (33, 9, shared(3, 0, 1)),
+        (64, 64, shared(40, 1, 2)),
+    ] {
         let gather = Gather { sequences, ..Gather::new(cosine, light, 11) };
         let got: Vec<f64> = backend.irradiance(&points, gather, &Silent).unwrap().iter().flat_map(flat).collect();
         let expected: Vec<f64> = (points.iter())

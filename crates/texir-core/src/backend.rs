@@ -66,6 +66,10 @@ pub enum Sequences {
     Shared {
         /// Texels in a row, at least 1.
         width: u32,
+        /// Which part of its stretch a texel draws,
+        part: u32,
+        /// of how many, at least 1: the mean of the gathers of all parts is the gather of that many times the rays.
+        parts: u32,
     },
 }
 
@@ -74,11 +78,12 @@ impl Sequences {
     pub fn of(self, seed: u32, number: u32) -> (u32, u32) {
         match self {
             Self::Own { part } => (hash2(seed, number), part),
-            Self::Shared { width } => {
+            Self::Shared { width, part, parts } => {
                 let width = width.max(1);
                 let (x, y) = (number % width, number / width);
                 let seed = hash2(seed, y / Z_SIDE * width.div_ceil(Z_SIDE) + x / Z_SIDE);
-                (seed, along_z_curve([x % Z_SIDE, y % Z_SIDE], hash2(seed, 0)))
+                let along = along_z_curve([x % Z_SIDE, y % Z_SIDE], hash2(seed, 0));
+                (seed, along.wrapping_mul(parts).wrapping_add(part))
             }
         }
     }
@@ -92,7 +97,12 @@ impl Gather {
 
     /// The same rays, at texels of a map `width` texels wide that share their sequences.
     pub const fn shared(self, width: usize) -> Self {
-        Self { sequences: Sequences::Shared { width: width as u32 }, ..self }
+        self.shared_in_parts(width, [0, 1])
+    }
+
+    /// `part` of `parts` of the gather of `parts` times the rays at texels of such a map.
+    pub const fn shared_in_parts(self, width: usize, [part, parts]: [u32; 2]) -> Self {
+        Self { sequences: Sequences::Shared { width: width as u32, part, parts }, ..self }
     }
 
     /// The rays to lights and those to the bright pixels of the environment, by which of them there are.
@@ -311,7 +321,7 @@ pub trait Backend {
     ) -> Result<Vec<[f32; 3]>>;
 
     /// Denoise: the mean of two independent gathers of irradiance at every point without most of its noise
-    /// ([`crate::denoise`]). What is further than some twenty texels from a point does not change a bit of its result.
+    /// ([`crate::denoise`]). What is further than some twenty-five texels from a point does not change a bit of its result.
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.
@@ -381,7 +391,7 @@ mod tests {
     use crate::rng::lattice2;
 
     const WIDTH: u32 = 100;
-    const SHARED: Sequences = Sequences::Shared { width: WIDTH };
+    const SHARED: Sequences = Sequences::Shared { width: WIDTH, part: 0, parts: 1 };
     const SAMPLES: u32 = 64;
 
     /// The points that texel (x, y) draws.
@@ -410,6 +420,16 @@ mod tests {
             let ratio = deviation(shared, side) / deviation(own, side);
             assert!(ratio < 1.2 / f64::from(side).sqrt(), "{side}² texels: {ratio}");
         }
+    }
+
+    #[test]
+    fn the_parts_of_a_stretch_are_all_of_it() {
+        let (x, y) = (70, 9);
+        let part = |part| drawn(Sequences::Shared { width: WIDTH, part, parts: 2 }, 3, [x, y]);
+        let (seed, stretch) = SHARED.of(3, y * WIDTH + x);
+        let whole = (0..2 * SAMPLES).map(|i| lattice2(stretch * 2 * SAMPLES + i, [hash2(seed, 1), hash2(seed, 2)]));
+        assert!(part(0).chain(part(1)).eq(whole));
+        assert!(!part(0).eq(part(1)));
     }
 
     #[test]

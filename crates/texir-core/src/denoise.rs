@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::surface::SurfacePoint;
 
 /// Radius of the fit, texels.
-pub const RADIUS: f32 = 8.0;
+pub const RADIUS: f32 = 10.0;
 /// Radius within which the guide is smoothed, texels.
 pub const GUIDE_RADIUS: f32 = 1.6;
 /// Radius within which noise is measured, texels: so wide that a texel's own noise hardly sets how much it is smoothed, which
@@ -30,12 +30,14 @@ pub const MISS_RADIUS: f32 = 2.5;
 /// How far away a point may be that has a say in what becomes of another, texels.
 pub(crate) const REACH: f32 = RADIUS + MISS_RADIUS + RADIUS + GUIDE_RADIUS;
 /// Edge of the cells that neighbours are looked for in, texels.
-pub const CELL: f32 = RADIUS / 2.0;
+pub const CELL: f32 = RADIUS / 3.0;
 /// A neighbour's weight falls to a quarter where its difference beyond noise is this many times the noise.
 pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share of the
 /// value. Noise makes the fit as linear as this lets it.
 pub const CURVATURE: f32 = 0.5;
+/// What both halves have beyond their fits is told from chance where it is more than this many times its variance.
+pub const CHANCE: f32 = 1.25;
 /// What is lost on average is given back as far as it is more than this many of its standard errors.
 pub const SIGNIFICANT: f32 = 2.0;
 /// The regression's ridge, as a share of the weight: keeps a fit along a line of texels solvable.

@@ -10,10 +10,10 @@ use crate::surface::SurfacePoint;
 pub const SAME_WAY: f32 = 0.9;
 /// How far a point may lie beside the tangent plane, as a share of the search radius.
 pub const BESIDE: f32 = 0.15;
-/// Columns along z of 1 × 1 × 5 cells within one cell of another,
+/// Columns of cells along z within one cell of another,
 pub const NEAR: usize = 9;
-/// and within two, those within one first.
-pub const FAR: usize = 25;
+/// and within three, those within one first.
+pub const FAR: usize = 49;
 
 /// Points by cells of a sparse grid, for searches in [`NEAR`] or [`FAR`] columns around each.
 #[derive(Debug)]
@@ -43,7 +43,10 @@ pub struct Entry {
 }
 
 impl<const COLUMNS: usize> Neighbours<COLUMNS> {
-    /// Sorts the points into cells of `edge` metres, for searches of up to that radius, or twice that with [`FAR`].
+    /// How many cells the columns reach.
+    const REACH: i32 = (COLUMNS.isqrt() / 2) as i32;
+
+    /// Sorts the points into cells of `edge` metres, for searches of up to that radius, or three times that with [`FAR`].
     pub fn new(points: &[SurfacePoint], edge: f32) -> Self {
         let cell_at = |i: u32| cell_of(points[i as usize].position.into(), edge).to_array();
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
@@ -65,9 +68,10 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
         starts.push(points.len() as u32);
         // The first point in that cell or in one after it.
         let first = |cell: [i32; 3]| starts[cells.partition_point(|other| *other < cell)];
-        let columns: [[i32; 2]; COLUMNS] = std::array::from_fn(column);
+        let columns = Self::columns();
         let around = |&[x, y, z]: &[i32; 3]| {
-            columns.map(|[dx, dy]| [first([x + dx, y + dy, z - 2]), first([x + dx, y + dy, z + 3])])
+            let column = |dx, dy, z| first([x + dx, y + dy, z]);
+            columns.map(|[dx, dy]| [column(dx, dy, z - Self::REACH), column(dx, dy, z + Self::REACH + 1)])
         };
         let spans = cells.par_iter().map(around).collect();
         Self { edge, entries, spans, places }
@@ -89,18 +93,19 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
             .map(|(entry, offset)| (entry.index as usize, offset))
     }
 
+    /// Where the columns are beside the one in the middle: those within one cell, then the others.
+    fn columns() -> [[i32; 2]; COLUMNS] {
+        let side = 2 * Self::REACH + 1;
+        let mut columns = std::array::from_fn(|k| [k as i32 % side - Self::REACH, k as i32 / side - Self::REACH]);
+        columns.sort_by_key(|[dx, dy]: &[i32; 2]| dx.abs().max(dy.abs()).max(1));
+        columns
+    }
+
     /// How many points the columns around any one cell hold at most.
     pub fn most(&self) -> u64 {
         let held = |spans: &[[u32; 2]; COLUMNS]| spans.iter().map(|[start, end]| u64::from(end - start)).sum();
         self.spans.iter().map(held).max().unwrap_or(0)
     }
-}
-
-/// Where the columns are beside the one in the middle: those within one cell, then those within two.
-fn column(k: usize) -> [i32; 2] {
-    let mut columns: [[i32; 2]; FAR] = std::array::from_fn(|k| [k as i32 % 5 - 2, k as i32 / 5 - 2]);
-    columns.sort_by_key(|[dx, dy]| dx.abs().max(dy.abs()).max(1));
-    columns[k]
 }
 
 /// The cell of a grid of some `edge` (metres) that a place lies in. What is too far from the origin to be counted is taken to be as

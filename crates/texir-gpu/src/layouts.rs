@@ -86,6 +86,7 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
                 miss_radius,
                 tolerance,
                 curvature,
+                chance,
                 significant,
                 ridge,
                 same_way,
@@ -107,6 +108,7 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
                 sky_samples,
                 seed,
                 part,
+                parts,
                 width,
                 sky_rows
             }),

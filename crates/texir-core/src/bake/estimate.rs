@@ -61,17 +61,17 @@ impl Estimate {
         let mut estimate =
             Self { halves: [texels.zeroed()?, texels.zeroed()?], rays: texels.zeroed()?, floor: f32::MIN_POSITIVE };
         let mut active = None;
-        for (number, round) in rounds(gather, target.is_some(), texels.size()[0]).into_iter().enumerate() {
+        for (number, round) in rounds(gather, error, texels.size()[0]).into_iter().enumerate() {
             if let (Some(target), true) = (target, number > 0) {
                 active = Some(estimate.above(target, surface, progress)?);
             }
-            let rays = rays_of(round);
+            let rays = rays_of(round[0]);
             let tiles = Tiles::new(&texels.points, active.as_ref(), rays);
             progress.start("irradiance", tiles.points() as u64 * 2 * rays, "rays");
-            for (half, seed) in [gather.seed, hash(gather.seed)].into_iter().enumerate() {
+            for (half, gather) in round.into_iter().enumerate() {
                 let kept = checkpoints.within(&format!("round-{number}-half-{half}"));
                 let all = &mut estimate.halves[half];
-                tiles.gather(Gather { seed, ..round }, backend, &kept, progress, |items, found| {
+                tiles.gather(gather, backend, &kept, progress, |items, found| {
                     let before = all.get(items)?;
                     let joined: Vec<Gathered> =
                         before.iter().zip(found).map(|(before, found)| joined(before, found, number)).collect();
@@ -213,12 +213,18 @@ fn joined(before: &Gathered, last: &Gathered, round: usize) -> Gathered {
     Gathered { irradiance: [mean(0), mean(1), mean(2)], back_faces: (before.back_faces + last.back_faces) / 2.0 }
 }
 
-/// The gathers of one half: all at once, by sequences that the texels of a map `width` texels wide share; or, where texels stop
+/// The gathers of both halves: all at once, by sequences that the texels of a map `width` texels wide share; or, where texels stop
 /// at different times, by sequences of their own, a small one and others that double it until all are drawn.
-fn rounds(gather: Gather, adaptive: bool, width: usize) -> Vec<Gather> {
+///
+/// Halves are parts of one stretch, which errs less than two that do not know of each other; but then their difference says a fifth
+/// too much of what it errs by. Where the `error` is asked for they know nothing of each other.
+fn rounds(gather: Gather, error: Option<f32>, width: usize) -> Vec<[Gather; 2]> {
     let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, ..gather };
-    if !adaptive {
-        return vec![half.shared(width)];
+    let apart = |half: Gather| [half.seed, hash(half.seed)].map(|seed| Gather { seed, ..half });
+    match error {
+        None => return vec![[0, 1].map(|part| half.shared_in_parts(width, [part, 2]))],
+        Some(error) if !(error > 0.0) => return vec![apart(half.shared(width))],
+        Some(_) => {}
     }
     let doublings = (half.cosine / FIRST).checked_ilog2().unwrap_or(0);
     let part = |part, double: u32| Gather {
@@ -227,7 +233,7 @@ fn rounds(gather: Gather, adaptive: bool, width: usize) -> Vec<Gather> {
         sequences: Sequences::Own { part },
         ..half
     };
-    std::iter::once(part(0, 0)).chain((0..doublings).map(|k| part(1, k))).collect()
+    std::iter::once(part(0, 0)).chain((0..doublings).map(|k| part(1, k))).map(apart).collect()
 }
 
 #[cfg(test)]

@@ -178,7 +178,7 @@ fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
 }
 
 /// Texels of the map that is baked in memory and in files, a side.
-const LARGE: usize = 128;
+const LARGE: usize = 160;
 
 /// A floor in strips, each a chart of its own, in an order that is not that of space; a rug that buries a part of it; and a
 /// ceiling that shines.
@@ -206,7 +206,7 @@ fn strips() -> (Arc<Scene>, Rgb) {
 
 /// In files, with few texels at a time.
 fn on_disk(folder: &Path) -> Workspace {
-    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(8600 * memory::POINT) }
+    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(13_400 * memory::POINT) }
 }
 
 /// The map and its errors, made some rows at a time.

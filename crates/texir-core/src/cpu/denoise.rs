@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::brdf::basis;
 use crate::cholesky;
 use crate::denoise::{
-    CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
+    CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
 };
 use crate::neighbours::{FAR, Neighbours};
 use crate::real::{Real, V3};
@@ -105,7 +105,7 @@ impl Search<'_> {
                 let difference = square(smoothed[i].halves[1 - half] - smoothed[j].halves[1 - half]);
                 let beyond = (difference - noise.smoothed).max(R::of(0.0));
                 let alike = R::of(1.0) + beyond / (noise.smoothed * R::of(f64::from(TOLERANCE * TOLERANCE)));
-                fit.add(near * near / (alike * alike), &monomials, halves[half]);
+                fit.add(near / (alike * alike), &monomials, halves[half]);
             }
         }
         // A half's variance over that of the coefficients before anything is seen.
@@ -125,8 +125,8 @@ impl Search<'_> {
             shared = shared + near * a.dot(b) / level;
             noise = noise + near * square(a - b) / (R::of(4.0) * level);
         }
-        // Wiener's weight; halves that agree by chance share about as much as their noise.
-        let signal = (shared - noise).max(R::of(0.0));
+        // Wiener's weight, of what is more than chance.
+        let signal = (shared - noise * R::of(f64::from(CHANCE))).max(R::of(0.0));
         let kept = if signal > R::of(0.0) { signal / (signal + noise) } else { R::of(0.0) };
         let fit = mean(fits[i]);
         fit + (mean(self.halves(i)) - fit) * kept

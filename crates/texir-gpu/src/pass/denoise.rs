@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use texir_core::cpu;
 use texir_core::denoise::{
-    CELL, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
+    CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
 };
 use texir_core::error::Result;
 use texir_core::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
@@ -13,10 +13,10 @@ use crate::batch::{BATCH_BYTES, Context};
 
 /// The passes, and about how many rays' time one takes of a point with [`USUAL`] points around it.
 const PASSES: [(&str, u64); 5] =
-    [("smooth_halves", 4), ("measure_noise", 4), ("regress", 16), ("clean", 4), ("conserve", 8)];
+    [("smooth_halves", 4), ("measure_noise", 4), ("regress", 24), ("clean", 4), ("conserve", 12)];
 
 /// Points that a thread looks at where texels are of one size.
-const USUAL: u64 = 400;
+const USUAL: u64 = 550;
 
 /// Points that a thread may look at: a software driver silently ends it after 65,535 iterations of all its loops, and on any device a
 /// few threads with many more would take longer than drivers allow.
@@ -38,6 +38,7 @@ pub(crate) struct DenoiseParams {
     pub miss_radius: f32,
     pub tolerance: f32,
     pub curvature: f32,
+    pub chance: f32,
     pub significant: f32,
     pub ridge: f32,
     pub same_way: f32,
@@ -100,6 +101,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
                 miss_radius: MISS_RADIUS,
                 tolerance: TOLERANCE,
                 curvature: CURVATURE,
+                chance: CHANCE,
                 significant: SIGNIFICANT,
                 ridge: RIDGE,
                 same_way: SAME_WAY,

@@ -27,6 +27,7 @@ pub(crate) struct IrradianceParams {
     pub sky_samples: u32,
     pub seed: u32,
     pub part: u32,
+    pub parts: u32,
     pub width: u32,
     pub sky_rows: u32,
 }
@@ -71,9 +72,9 @@ impl Gathering for Irradiance<'_> {
         items: Range<usize>,
         samples: Range<u32>,
     ) -> Result<()> {
-        let (part, width) = match self.gather.sequences {
-            Sequences::Own { part } => (part, 0),
-            Sequences::Shared { width } => (0, width.max(1)),
+        let ([part, parts], width) = match self.gather.sequences {
+            Sequences::Own { part } => ([part, 1], 0),
+            Sequences::Shared { width, part, parts } => ([part, parts], width.max(1)),
         };
         let params = ctx.params(&IrradianceParams {
             first_item: items.start as u32,
@@ -85,6 +86,7 @@ impl Gathering for Irradiance<'_> {
             sky_samples: self.samples[2],
             seed: self.gather.seed,
             part,
+            parts,
             width,
             sky_rows: self.geometry.sky.rows,
         });

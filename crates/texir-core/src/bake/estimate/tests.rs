@@ -99,15 +99,24 @@ fn standard_errors_are_those_that_estimates_have() {
 fn rounds_double_up_to_all_rays() {
     for (cosine, light, expected) in [(512, 512, 256), (100, 50, 50), (2, 2, 1), (33, 0, 16), (1000, 24, 500)] {
         let gather = Gather { cosine, light, ..GATHER };
-        let rounds = rounds(gather, true, SIDE);
+        let rounds = rounds(gather, Some(TARGET), SIDE);
         let mut sum = 0;
-        for round in &rounds {
+        for [a, b] in &rounds {
             let part = Sequences::Own { part: u32::from(sum > 0) };
-            assert!(round.sequences == part && (sum == 0 || round.cosine == sum), "{rounds:?}");
-            sum += round.cosine;
+            assert!(a.sequences == part && (sum == 0 || a.cosine == sum), "{rounds:?}");
+            assert!(*b == Gather { seed: b.seed, ..*a } && a.seed != b.seed, "{rounds:?}");
+            sum += a.cosine;
         }
         assert!(sum <= expected && sum + (1 << rounds.len()) > expected, "{rounds:?}");
-        let half = Gather::new(cosine / 2, light / 2, gather.seed);
-        assert_eq!(super::rounds(gather, false, SIDE), [half.shared(SIDE)]);
     }
+}
+
+#[test]
+fn halves_are_parts_of_one_gather_unless_their_difference_is_the_error() {
+    let half = Gather::new(GATHER.cosine / 2, GATHER.light / 2, GATHER.seed);
+    let [together] = rounds(GATHER, None, SIDE)[..] else { panic!("one round") };
+    assert_eq!(together, [0, 1].map(|part| half.shared_in_parts(SIDE, [part, 2])));
+    let [[a, b]] = rounds(GATHER, Some(0.0), SIDE)[..] else { panic!("one round") };
+    assert_eq!(a, half.shared(SIDE));
+    assert!(b == Gather { seed: b.seed, ..a } && b.seed != a.seed);
 }
