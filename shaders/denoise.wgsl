@@ -1,4 +1,4 @@
-// Denoising of irradiance by local regression, guided by two independent estimates of every point (the twin's module says how and
+// Denoising of irradiance by local regression, guided by two estimates of every point (the twin's module says how and
 // whence). Five passes: `smooth_halves`, `measure_noise`, `regress`, `clean`, `conserve`.
 //
 // In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the cells that

@@ -320,7 +320,7 @@ pub trait Backend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>>;
 
-    /// Denoise: the mean of two independent gathers of irradiance at every point without most of its noise
+    /// Denoise: the mean of two gathers of irradiance at every point without most of its noise
     /// ([`crate::denoise`]). What is further than some twenty-five texels from a point does not change a bit of its result.
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>>;
 

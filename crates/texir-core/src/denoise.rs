@@ -1,4 +1,4 @@
-//! Denoising of irradiance in the atlas: what is noise is told from what is shadow by two independent estimates.
+//! Denoising of irradiance in the atlas: what is noise is told from what is shadow by two estimates that err differently.
 //!
 //! Every texel takes a local quadratic fit of its neighbours on the surface (regression keeps gradients, and curvature as far as
 //! noise lets it be seen), weighted by distance and by how much their irradiance differs beyond noise. Each half of the
@@ -36,15 +36,16 @@ pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share of the
 /// value. Noise makes the fit as linear as this lets it.
 pub const CURVATURE: f32 = 0.5;
-/// What both halves have beyond their fits is told from chance where it is more than this many times its variance.
+/// What both halves have beyond their fits is told from chance where it is more than this many times its variance. Halves that are
+/// parts of one lattice also share what is left of the whole's error, where independent ones share none.
 pub const CHANCE: f32 = 1.25;
 /// What is lost on average is given back as far as it is more than this many of its standard errors.
 pub const SIGNIFICANT: f32 = 2.0;
 /// The regression's ridge, as a share of the weight: keeps a fit along a line of texels solvable.
 pub const RIDGE: f32 = 1e-3;
 
-/// Two independent estimates of a quantity per point, linear RGB; its mean is the estimate, half of the difference its
-/// standard error.
+/// Two estimates of a quantity per point from as many samples each, linear RGB. Their mean is the estimate, half of their difference
+/// its standard error if they are independent, and more than that if they are parts of one sequence.
 pub type Halves = [Vec<[f32; 3]>; 2];
 
 /// What is to be denoised.

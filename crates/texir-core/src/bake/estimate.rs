@@ -1,4 +1,4 @@
-//! Two independent gathers of every texel, whose difference tells their error, in rounds until that is small enough.
+//! Two gathers of every texel, whose difference tells their error, in rounds until that is small enough where it is asked for.
 //!
 //! Every round but the first doubles a texel's rays. Which texels take part in the next is told by their neighbours: were a
 //! texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often than not (Kirk
