@@ -135,7 +135,7 @@ mod tests {
         let points: Vec<SurfacePoint> = (0..3000).map(point).collect();
         let neighbours = Neighbours::<FAR>::new(&points, 0.1);
         let near = Neighbours::<NEAR>::new(&points, 0.1);
-        for radius in [0.04, 0.1, 0.13, 0.2] {
+        for radius in [0.04, 0.1, 0.13, 0.2, 0.3] {
             for i in (0..points.len()).step_by(17) {
                 let [p, n] = [points[i].position, points[i].normal].map(Vec3::from);
                 let close = |j: &usize| {

@@ -10,15 +10,15 @@ use crate::mesh::Mesh;
 use crate::scene::Scene;
 
 /// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, what is found on the way, entries of
-/// the search and while they are sorted, result. Where texels are much larger than a typical one, cells of the search (216
+/// the search and while they are sorted, result. Where texels are much larger than a typical one, cells of the search (408
 /// bytes) hold few of them, and it is up to twice as much.
-pub(super) const POINT: u64 = 192;
+pub(super) const POINT: u64 = 212;
 
 /// Bytes that a valid texel takes where all of them are in memory, as measured.
-const TEXEL: u64 = 192;
+const TEXEL: u64 = 212;
 
 /// Bytes that a valid texel takes in a bake with bounces, as measured: what [`TEXEL`] counts, light so far, and the last bounce's.
-const BOUNCING: u64 = 340;
+const BOUNCING: u64 = 360;
 
 /// Bytes per texel of the map in a bake with bounces: albedo, emission, what a bounce sends on and the backend's copy, and what is
 /// padded meanwhile.
