@@ -31,6 +31,8 @@ pub const MISS_RADIUS: f32 = 2.5;
 pub(crate) const REACH: f32 = RADIUS + MISS_RADIUS + RADIUS + GUIDE_RADIUS;
 /// Edge of the cells that neighbours are looked for in, texels.
 pub const CELL: f32 = RADIUS / 3.0;
+// What looks no further than a cell's edge goes through the columns within one cell alone.
+const _: () = assert!(GUIDE_RADIUS <= CELL && NOISE_RADIUS <= CELL && MISS_RADIUS <= CELL);
 /// A neighbour's weight falls to a quarter where its difference beyond noise is this many times the noise.
 pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share of the
