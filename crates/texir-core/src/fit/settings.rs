@@ -174,26 +174,24 @@ impl DiffuseChoice {
     }
 }
 
-/// Roughness that varies within a surface, of which blocks have one of two finishes.
+/// Roughness that varies within a surface, of which blocks have a share of each of two finishes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LocalSettings {
     /// Edge of a block, metres.
     pub block: f32,
-    /// By how much two finishes must explain a segment better than one to be believed half, each block having the one that those
-    /// near it ask for: the fall of the logarithm of the segment's mean cost.
+    /// By how much a second finish must explain what half of the views see, where the other half asks for it, to be believed half:
+    /// the fall of the logarithm of the mean cost.
     pub gain: f32,
-    /// Pixels that a segment must have for half of that gain to count.
-    pub segment_pixels: f32,
-    /// The gain to be believed half where each half of the views says which finish the blocks have that the other half judges by.
-    pub agreement: f32,
+    /// Pixels that must see it for half of that gain to count.
+    pub half_pixels: f32,
     /// Pixels that each finish must have.
     pub pixels: u32,
 }
 
 impl Default for LocalSettings {
     fn default() -> Self {
-        Self { block: 0.3, gain: 0.07, segment_pixels: 1000.0, agreement: 0.03, pixels: 200 }
+        Self { block: 0.3, gain: 0.07, half_pixels: 1000.0, pixels: 500 }
     }
 }
 
@@ -542,7 +540,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 46] {
+    fn checks(&self) -> [Check; 45] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         [
             ("full.alternations", self.alternations as f32, self.alternations <= 16, "at most 16"),
@@ -576,8 +574,7 @@ impl FullSettings {
             not_negative("full.roughness.colour_pixels", r.colour_pixels),
             positive("full.roughness.local.block", r.local.block),
             positive("full.roughness.local.gain", r.local.gain),
-            not_negative("full.roughness.local.segment_pixels", r.local.segment_pixels),
-            positive("full.roughness.local.agreement", r.local.agreement),
+            not_negative("full.roughness.local.half_pixels", r.local.half_pixels),
             ("full.roughness.joints.width", r.joints.width, (0.0..=0.5).contains(&r.joints.width), "in [0, 0.5]"),
             positive("full.roughness.joints.contrast", r.joints.contrast),
             positive("full.roughness.joints.length", r.joints.length),

@@ -1,9 +1,7 @@
 //! How sure full mode is of the roughness of each texel.
 //!
-//! What the pixels of a texel's block say, and those of its segment, are likelihoods of roughness: (mean cost)^-n, as of residuals
-//! whose size is not known. The number n of what counts as independent is bounded however many pixels there are, since what
-//! goes wrong here is systematic ([`super::hierarchy`]). With every roughness as likely beforehand, that gives how far the truth
-//! may be from what the texel got.
+//! What the pixels of a texel's block say, and those of its segment, are likelihoods of roughness ([`Tally::ln_likelihood`]). With
+//! every roughness as likely beforehand, that gives how far the truth may be from what the texel got.
 
 use std::collections::BTreeMap;
 
@@ -13,10 +11,6 @@ use super::local::{Halves, Place, Surface};
 use super::scan::Tally;
 use crate::specular_table::{NODES, node};
 
-/// The most that the likelihood of a block, or of a segment, is raised to,
-const INDEPENDENT: f32 = 8.0;
-/// and the pixels at which it is half of that.
-const HALF_BELIEVED: f32 = 100.0;
 /// Variance of a roughness drawn by chance.
 const BY_CHANCE: f32 = 1.0 / 12.0;
 
@@ -36,9 +30,9 @@ pub fn confidence(
     segments: &[Tally],
     roughness: &[f32],
 ) -> Vec<f32> {
-    let segments: Vec<[f32; NODES]> = segments.iter().map(ln_likelihood).collect();
+    let segments: Vec<[f32; NODES]> = segments.iter().map(Tally::ln_likelihood).collect();
     let of_block = |(place, halves): &(Place, Halves)| {
-        let (own, segment) = (ln_likelihood(&Tally::sum(halves.iter())), &segments[place.0 as usize]);
+        let (own, segment) = (Tally::sum(halves.iter()).ln_likelihood(), &segments[place.0 as usize]);
         (*place, moments(&std::array::from_fn(|k| own[k] + segment[k])))
     };
     let blocks: BTreeMap<Place, Moments> = blocks.par_iter().map(of_block).collect();
@@ -55,16 +49,6 @@ pub fn confidence(
         (1.0 - (squared_distance / BY_CHANCE).max(0.0).sqrt()).max(0.0)
     };
     roughness.par_iter().enumerate().map(of_texel).collect()
-}
-
-/// The logarithm of the likelihood of each node's roughness.
-fn ln_likelihood(tally: &Tally) -> [f32; NODES] {
-    let pixels = tally.pixels as f32;
-    if pixels == 0.0 {
-        return [0.0; NODES];
-    }
-    let independent = INDEPENDENT * pixels / (pixels + HALF_BELIEVED);
-    tally.misfit().map(|misfit| -independent * misfit)
 }
 
 /// The moments of roughness by the logarithm of its likelihood.

@@ -1,13 +1,13 @@
 //! Roughness that varies within a segment: worn tracks, wet spots, a polished patch, a tiled wall among painted ones.
 //!
-//! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, a block has the one that
-//! explains the pixels of it and of those near it better. Near are those around it, as on a floor with a worn track, or
-//! those of its whole face, as where one wall of a room is tiled. Two are believed as far as they explain the segment better
-//! than one, and as the views agree on which block has which: blocks that are free to take any value follow whatever else
-//! is wrong with their pixels, and that goes with the view.
+//! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, every block has a share of
+//! each, by how likely its pixels and the blocks of its face make them. What is uncertain is thereby neither, a worn
+//! track stands out from its floor, and where one wall of a room is tiled, its blocks speak for each other. A second finish is
+//! believed as far as it explains what half of the views see where the other half asks for it: blocks that are free to take
+//! any value follow whatever else is wrong with their pixels, and that goes with the view.
 
 use std::collections::BTreeMap;
-use std::iter::repeat_n;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -96,46 +96,20 @@ pub fn refine(
 }
 
 /// By how much the blocks of a segment differ from it, in ln r; nothing where one finish is as good.
-///
-/// Two finishes always explain a segment better than one when each block takes what suits it, as noise has two sides. What
-/// counts is therefore how well a block is explained by the finish that others ask for: the blocks near it, itself left
-/// out, and the other half of the views.
 fn two_finishes(blocks: &[(Place, Halves)], whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
     let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
-    let all = Tally::sum(own.iter());
-    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| [smooth, rough]));
-    let of_pair = |[smooth, rough]: [usize; 2]| -> f64 {
-        own.iter().map(|block| block.cost[smooth].min(block.cost[rough])).sum()
-    };
-    let best = pairs.map(|pair| (of_pair(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
-    let (Some((_, pair)), true) = (best, all.pixels > 0.0) else { return Vec::new() };
-    let at = |tally: &Tally| pair.map(|node| tally.cost[node]);
-    let better = |[smooth, rough]: [f64; 2]| if smooth < rough { pair[0] } else { pair[1] };
-
-    let judged = [around(blocks), of_faces(blocks)].map(|near| {
-        let asked = |i: usize, half: usize| better(at(&near[i][half]));
-        (agreement(blocks, &near, &asked), near)
-    });
-    let Some((agreement, near)) = judged.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return Vec::new() };
-    let near: Vec<[f64; 2]> = near.iter().map(|halves| at(&Tally::sum(halves.iter()))).collect();
-    let others = |i: usize| -> [f64; 2] { std::array::from_fn(|k| near[i][k] - at(&own[i])[k]) };
-    let predicted: f64 = own.iter().enumerate().map(|(i, block)| block.cost[better(others(i))]).sum();
-    let one = all.cost.iter().copied().fold(f64::INFINITY, f64::min);
-    let gain = all.ln_mean(one) - all.ln_mean(predicted);
-    let pixels = all.pixels as f32;
-    let known = gain * pixels / (pixels + settings.segment_pixels);
-    let believed = half_at(settings.gain, known).min(half_at(settings.agreement, agreement));
-
-    let chosen: Vec<usize> = near.iter().map(|near| better(*near)).collect();
-    let of = |node: usize| Tally::sum(own.iter().zip(&chosen).filter(|(_, c)| **c == node).map(|(block, _)| block));
-    let finishes = pair.map(of);
+    let neighbours = Neighbours::of(blocks);
+    let pair = best_pair(&own, &neighbours);
+    let believed = half_at(settings.gain, gain(blocks, &neighbours, pair, settings));
+    let rough = neighbours.shares(&own, pair);
+    let finishes = finishes(&own, &rough);
     if believed == 0.0 || finishes.iter().any(|finish| finish.pixels < f64::from(settings.pixels)) {
         return Vec::new();
     }
     let whole = whole[blocks[0].0.0 as usize];
-    let [smooth, rough] = finishes.map(|finish| believed * (minimum(&finish.misfit()) / whole).ln());
-    let changes = chosen.iter().map(|node| if *node == pair[0] { smooth } else { rough });
-    blocks.iter().map(|(place, _)| *place).zip(changes).collect()
+    let differs = finishes.map(|finish| believed * (minimum(&finish.misfit()) / whole).ln());
+    let of_block = |share: &f64| differs[0] + *share as f32 * (differs[1] - differs[0]);
+    blocks.iter().map(|(place, _)| *place).zip(rough.iter().map(of_block)).collect()
 }
 
 /// How far something is believed that is believed half at `half`: not at all at half of that, and fully at half more.
@@ -143,42 +117,126 @@ fn half_at(half: f32, value: f32) -> f32 {
     (value / half - 0.5).clamp(0.0, 1.0)
 }
 
-/// By how much the logarithm of the mean cost falls when each half of the views is explained by the finishes that the other
-/// half asks for near a block, instead of by the one that the other half asks for; 0 where no block is seen by both. `asked` says
-/// which finish half of the views asks for near a block.
-fn agreement(blocks: &[(Place, Halves)], near: &[Halves], asked: &impl Fn(usize, usize) -> usize) -> f32 {
+/// The two nodes, smoother first, that explain the blocks best: of all pairs, each block taking the better of the two, and
+/// from there by what their shares ask for.
+fn best_pair(own: &[Tally], neighbours: &Neighbours) -> [usize; 2] {
+    /// Almost all pairs stay after the first.
+    const ROUNDS: usize = 3;
+    let of_pair = |[smooth, rough]: [usize; 2]| -> f64 {
+        own.iter().map(|block| block.cost[smooth].min(block.cost[rough])).sum()
+    };
+    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| [smooth, rough]));
+    let first = pairs.map(|pair| (of_pair(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let mut pair = first.map_or([0, 1], |(_, pair)| pair);
+    for _ in 0..ROUNDS {
+        let asked = finishes(own, &neighbours.shares(own, pair)).map(|finish| finish.best_node());
+        if asked[0] >= asked[1] || asked == pair {
+            break;
+        }
+        pair = asked;
+    }
+    pair
+}
+
+/// What is said of the smoother finish and of the rougher one, of which every block has the share `rough`.
+fn finishes(tallies: &[Tally], rough: &[f64]) -> [Tally; 2] {
+    tallies.iter().zip(rough).fold([Tally::default(); 2], |[mut smoother, mut rougher], (tally, rough)| {
+        smoother.merge(&tally.times(1.0 - rough));
+        rougher.merge(&tally.times(*rough));
+        [smoother, rougher]
+    })
+}
+
+/// By how much the logarithm of the mean cost falls, in each half of the views, by the finish that the other half finds where it
+/// differs from the segment's own; less for few pixels, and 0 for none.
+fn gain(blocks: &[(Place, Halves)], neighbours: &Neighbours, pair: [usize; 2], settings: &LocalSettings) -> f32 {
     let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
-    for (mine, other) in [(0, 1), (1, 0)] {
-        let all = Tally::sum(blocks.iter().map(|(_, halves)| &halves[other]));
-        let single = (0..NODES).min_by(|a, b| all.cost[*a].total_cmp(&all.cost[*b])).unwrap_or(0);
-        for (i, (_, halves)) in blocks.iter().enumerate() {
-            let block = &halves[mine];
-            if near[i][other].pixels > 0.0 && block.pixels > 0.0 {
-                judged = Tally::sum([&judged, block].into_iter());
+    for [mine, other] in [[0, 1], [1, 0]] {
+        let asks: Vec<Tally> = blocks.iter().map(|(_, halves)| halves[other]).collect();
+        let single = Tally::sum(asks.iter()).best_node();
+        let second = usize::from(single.abs_diff(pair[0]) < single.abs_diff(pair[1]));
+        let rough = neighbours.shares(&asks, pair);
+        for (((_, halves), asks), rough) in blocks.iter().zip(&asks).zip(rough) {
+            // Of blocks that it does not see, the other half says nothing.
+            if asks.pixels > 0.0 {
+                let block = halves[mine].times([1.0 - rough, rough][second]);
+                judged.merge(&block);
                 one += block.cost[single];
-                two += block.cost[asked(i, other)];
+                two += block.cost[pair[second]];
             }
         }
     }
-    if judged.pixels > 0.0 { judged.ln_mean(one) - judged.ln_mean(two) } else { 0.0 }
+    if judged.pixels == 0.0 {
+        return 0.0;
+    }
+    let pixels = judged.pixels as f32;
+    (judged.ln_mean(one) - judged.ln_mean(two)) * pixels / (pixels + settings.half_pixels)
 }
 
-/// What each block and the up to eight around it say.
-fn around(blocks: &[(Place, Halves)]) -> Vec<Halves> {
-    let block = |place: Place| blocks.binary_search_by_key(&place, |(place, _)| *place).ok();
-    let of = |(segment, face, x, y): Place| {
-        let near = (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| (segment, face, x + dx, y + dy)));
-        sum(near.filter_map(block).map(|i| &blocks[i].1))
-    };
-    blocks.iter().map(|(place, _)| of(*place)).collect()
+/// How the blocks of a segment lie to each other.
+struct Neighbours {
+    /// The blocks of each face.
+    faces: Vec<Range<usize>>,
+    /// Those around each block, on its face.
+    beside: Vec<Vec<usize>>,
 }
 
-/// What all blocks of each block's face say.
-fn of_faces(blocks: &[(Place, Halves)]) -> Vec<Halves> {
-    let faces = blocks.chunk_by(|a, b| a.0.1 == b.0.1);
-    faces.flat_map(|face| repeat_n(sum(face.iter().map(|(_, halves)| halves)), face.len())).collect()
-}
+impl Neighbours {
+    fn of(blocks: &[(Place, Halves)]) -> Self {
+        let face_after = |end: &mut usize, face: &[(Place, Halves)]| {
+            let first = std::mem::replace(end, *end + face.len());
+            Some(first..*end)
+        };
+        let at = |place: Place| blocks.binary_search_by_key(&place, |(place, _)| *place).ok();
+        let beside = |&(segment, face, x, y): &Place| {
+            let around = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+            around.into_iter().filter_map(|(x, y)| at((segment, face, x, y))).collect()
+        };
+        Self {
+            faces: blocks.chunk_by(|a, b| a.0.1 == b.0.1).scan(0, face_after).collect(),
+            beside: blocks.iter().map(|(place, _)| beside(place)).collect(),
+        }
+    }
 
-fn sum<'a>(blocks: impl Iterator<Item = &'a Halves> + Clone) -> Halves {
-    [0, 1].map(|half| Tally::sum(blocks.clone().map(|halves| &halves[half])))
+    /// The share of the rougher finish of `pair` in each block, of which `tallies` say what pixels see: how likely it is by these, by
+    /// the share that its face has of it, and by the blocks beside it. The share of a face follows from its blocks', few pixels
+    /// being drawn to the segment's. (Expectation maximisation over a mixture of two, the field of the neighbours
+    /// by its mean; Celeux, Forbes and Peyrard, "EM procedures using mean field-like approximations", 2003.)
+    fn shares(&self, tallies: &[Tally], [smooth, rough]: [usize; 2]) -> Vec<f64> {
+        /// Logarithm of the odds that a block beside, all of one finish, lends to that.
+        const LENT: f64 = 0.5;
+        /// Pixels that a face's share must rest on to count as much as its segment's.
+        const PRIOR_PIXELS: f64 = 30.0;
+        /// No face is taken to be all of one finish,
+        const LEAST: f64 = 0.05;
+        /// nor driven to it: with many rounds, whether all blocks end up alike hangs on a hair.
+        const ROUNDS: usize = 5;
+        let odds = |tally: &Tally| {
+            let likelihood = tally.ln_likelihood();
+            f64::from(likelihood[rough] - likelihood[smooth])
+        };
+        let odds: Vec<f64> = tallies.iter().map(odds).collect();
+        let mut share = vec![0.5; tallies.len()];
+        let mut of_face = vec![0.5; self.faces.len()];
+        for _ in 0..ROUNDS {
+            let likely = |block: usize, of_face: f64| {
+                let lent: f64 = self.beside[block].iter().map(|beside| LENT * (2.0 * share[*beside] - 1.0)).sum();
+                1.0 / (1.0 + (1.0 - of_face) / of_face * (-odds[block] - lent).exp())
+            };
+            let faces = self.faces.iter().zip(&of_face);
+            share = faces.flat_map(|(face, of_face)| face.clone().map(|block| likely(block, *of_face))).collect();
+            let sums = |part: Range<usize>| {
+                let part = share[part.clone()].iter().zip(&tallies[part]);
+                part.fold([0.0; 2], |[rough, all], (share, tally)| [rough + share * tally.pixels, all + tally.pixels])
+            };
+            let [rough, all] = sums(0..share.len());
+            let of_segment = rough / all.max(f64::MIN_POSITIVE);
+            let of = |face: &Range<usize>| {
+                let [rough, all] = sums(face.clone());
+                ((rough + PRIOR_PIXELS * of_segment) / (all + PRIOR_PIXELS)).clamp(LEAST, 1.0 - LEAST)
+            };
+            of_face = self.faces.iter().map(of).collect();
+        }
+        share
+    }
 }

@@ -98,6 +98,11 @@ const FLOOR: f64 = 2e-3;
 /// Runs of the solver at the first node: after six, more change nothing.
 const FIRST_ROUNDS: u32 = 6;
 
+/// The most that a likelihood of roughness is raised to,
+const INDEPENDENT: f32 = 8.0;
+/// and the pixels at which it is half of that.
+const HALF_BELIEVED: f32 = 100.0;
+
 /// What several pixels say together.
 #[derive(Clone, Copy, Default)]
 pub struct Tally {
@@ -115,6 +120,11 @@ impl Tally {
         self.pixels += say;
     }
 
+    /// What a share of the pixels says.
+    pub fn times(&self, share: f64) -> Self {
+        Self { cost: self.cost.map(|cost| share * cost), pixels: share * self.pixels }
+    }
+
     /// Adds what others say.
     pub fn merge(&mut self, other: &Self) {
         self.cost.iter_mut().zip(other.cost).for_each(|(sum, cost)| *sum += cost);
@@ -129,6 +139,11 @@ impl Tally {
         })
     }
 
+    /// The node that explains them best.
+    pub fn best_node(&self) -> usize {
+        (0..NODES).min_by(|a, b| self.cost[*a].total_cmp(&self.cost[*b])).unwrap_or(0)
+    }
+
     /// The logarithm of the mean of a sum of costs.
     pub fn ln_mean(&self, cost: f64) -> f32 {
         (cost / self.pixels + FLOOR).ln() as f32
@@ -138,6 +153,18 @@ impl Tally {
     /// not known beforehand.
     pub fn misfit(&self) -> [f32; NODES] {
         self.cost.map(|cost| self.ln_mean(cost))
+    }
+
+    /// The logarithm of the likelihood of each node's roughness: (mean cost)^-n, as of residuals whose size is not known. The number
+    /// n of what counts as independent is bounded however many pixels there are, since what goes wrong here is systematic
+    /// ([`super::hierarchy`]).
+    pub fn ln_likelihood(&self) -> [f32; NODES] {
+        let pixels = self.pixels as f32;
+        if pixels == 0.0 {
+            return [0.0; NODES];
+        }
+        let independent = INDEPENDENT * pixels / (pixels + HALF_BELIEVED);
+        self.misfit().map(|misfit| -independent * misfit)
     }
 }
 

@@ -391,9 +391,10 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     let by = |surface: &Surface<'_>, evidence: &Evidence, settings: &LocalSettings| {
         refine(surface, &surface.blocks(evidence), &[0.2], &[0.2; 1024], settings)
     };
-    let refined = |is_smooth: &dyn Fn(u32) -> bool, depth, rough| {
-        by(&surface, &evidence(is_smooth, depth, rough), &LocalSettings::default())
-    };
+    // Fewer pixels than surfaces have.
+    let settings = LocalSettings { pixels: 200, half_pixels: 100.0, ..LocalSettings::default() };
+    let refined =
+        |is_smooth: &dyn Fn(u32) -> bool, depth, rough| by(&surface, &evidence(is_smooth, depth, rough), &settings);
     let clear = refined(&halves, 1.0, 0.4);
     assert!((clear[8] - 0.1).abs() < 0.01 && (clear[56] - 0.4).abs() < 0.02, "{} {}", clear[8], clear[56]);
     // A little more evidence changes little.
@@ -401,27 +402,68 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
         (0..=40).map(|step| refined(&halves, 1e-3 * 1.2f32.powi(step), 0.4)[8]).map(f32::ln).collect();
     assert!((by_depth[0] - 0.2f32.ln()).abs() < 1e-6 && (by_depth[40] - 0.1f32.ln()).abs() < 0.1, "{by_depth:?}");
     assert!(by_depth.windows(2).all(|d| d[1] < d[0] + 0.01 && d[1] > d[0] - 0.4), "{by_depth:?}");
-    // Negative controls: too little difference, none, and blocks of which none says what is beside it.
+    // Single blocks, where both halves of the views see them.
+    let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6).is_multiple_of(2);
+    let by_block = refined(&scattered, 1.0, 0.4);
+    for (x, y) in [(2u32, 1u32), (4, 1), (5, 0), (7, 1)] {
+        let (t, found) = (6 * x + 3 + width * (6 * y + 3), 0.2f32);
+        let truth = if scattered(t) { 0.1 } else { 0.4 };
+        assert!(
+            (by_block[t as usize] / truth).ln().abs() < (found / truth).ln().abs() - 0.2,
+            "{x} {y}: {}",
+            by_block[t as usize]
+        );
+    }
+    // Negative controls: too little difference, none, too few pixels,
     assert_eq!(refined(&halves, 1e-3, 0.4), [0.2; 1024]);
     assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
-    let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6).is_multiple_of(2);
-    assert_eq!(refined(&scattered, 1.0, 0.4), [0.2; 1024]);
-    // Views that contradict each other, and one that nobody can.
+    assert_eq!(
+        by(&surface, &evidence(&halves, 1.0, 0.4), &LocalSettings { pixels: 600, ..settings.clone() }),
+        [0.2; 1024]
+    );
+    // views that contradict each other, and one that nobody can.
     let odd = |t: u32| (t % width + t / width).is_multiple_of(2);
     assert_eq!(refined(&|t| halves(t) == odd(t), 1.0, 0.4), [0.2; 1024]);
     let alone = Surface { half: &[0; 1024], ..surface };
-    assert_eq!(by(&alone, &evidence(&halves, 1.0, 0.4), &LocalSettings::default()), [0.2; 1024]);
-    // Of blocks that are seen here and there, none says what is beside it; but those of a face speak for each other.
-    let seen = |t: u32| (t % width / 6).is_multiple_of(2) && (t / width / 6).is_multiple_of(2);
-    let heaviest: Vec<u32> = texels.iter().map(|&t| if seen(t) { t } else { NONE }).collect();
-    let settings = LocalSettings { pixels: 50, segment_pixels: 100.0, ..LocalSettings::default() };
-    let seldom = |face: &[u32]| {
-        let surface = Surface { face, heaviest: &heaviest, ..surface };
-        by(&surface, &evidence(&halves, 1.0, 0.4), &settings)
+    assert_eq!(by(&alone, &evidence(&halves, 1.0, 0.4), &settings), [0.2; 1024]);
+}
+
+#[test]
+fn the_blocks_of_a_face_speak_for_each_other() {
+    use super::local::{Surface, refine};
+    use super::scan::Evidence;
+    use crate::fit::settings::LocalSettings;
+    use crate::specular_table::{NODES, node};
+    // Two walls of 10 blocks: one of 0.1, of which two blocks look like the other's 0.4 to both halves of the views.
+    let texels: Vec<u32> = (0..60 * 12).collect();
+    let column = |t: u32| t % 60;
+    let is_smooth = |t: u32| column(t) < 30 && !(6..12).contains(&column(t));
+    let cost = |&t: &u32| -> [half::f16; NODES] {
+        let truth: f32 = if is_smooth(t) { 0.1 } else { 0.4 };
+        // The two that are off, hardly.
+        let depth = if (6..12).contains(&column(t)) { 0.04 } else { 0.5 };
+        std::array::from_fn(|k| half::f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
     };
-    let walls = seldom(&texels.iter().map(|&t| u32::from(!halves(t))).collect::<Vec<u32>>());
-    assert!((walls[8] - 0.1).abs() < 0.01 && (walls[56] - 0.4).abs() < 0.02, "{} {}", walls[8], walls[56]);
-    assert_eq!(seldom(&segment), [0.2; 1024]);
+    let evidence = Evidence {
+        segment: vec![0; texels.len()],
+        cost: texels.iter().map(cost).collect(),
+        say: vec![1.0; texels.len()],
+        slope: vec![],
+    };
+    let by_face = |face: &[u32]| {
+        let half: Vec<u8> = texels.iter().map(|t| (t % 2) as u8).collect();
+        let segment = vec![0; texels.len()];
+        let surface =
+            Surface { width: 60, texels: &texels, segment: &segment, face, heaviest: &texels, half: &half, block: 6.0 };
+        let settings = LocalSettings { pixels: 200, half_pixels: 100.0, ..LocalSettings::default() };
+        refine(&surface, &surface.blocks(&evidence), &[0.2], &vec![0.2; texels.len()], &settings)
+    };
+    let walls: Vec<u32> = texels.iter().map(|t| u32::from(column(*t) >= 30)).collect();
+    let [one, other, off] = [3, 45, 9].map(|column| by_face(&walls)[6 * 60 / 2 + column]);
+    assert!((one - 0.1).abs() < 0.01 && (other - 0.4).abs() < 0.02 && off < 0.12, "{one} {other} {off}");
+    // Negative control: where both walls are one face, what they look like is what they are.
+    let off = by_face(&vec![0; texels.len()])[6 * 60 / 2 + 9];
+    assert!(off > 0.13, "{off}");
 }
 
 #[test]
