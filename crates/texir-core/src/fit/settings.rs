@@ -219,9 +219,13 @@ impl Default for KinSettings {
 pub struct JointSettings {
     /// How wide lines may be, metres; 0: joints are not looked for.
     pub width: f32,
-    /// By how much they are darker or brighter than what is around them, in ln a.
+    /// Distance over which straight lines are followed, metres,
+    pub stretch: f32,
+    /// and by how much they are darker or brighter than what is beside them, on average, in ln a.
+    pub stretch_contrast: f32,
+    /// By how much lines of any course are, where a segment has no straight ones.
     pub contrast: f32,
-    /// How long they must be, metres, counted in texels that touch.
+    /// How long those must be, metres, counted in texels that touch.
     pub length: f32,
     /// Share of a segment's texels that its darker or its brighter lines must have.
     pub least_share: f32,
@@ -236,7 +240,17 @@ pub struct JointSettings {
 
 impl Default for JointSettings {
     fn default() -> Self {
-        Self { width: 0.03, contrast: 0.15, length: 0.04, least_share: 0.02, pixels: 200, pull: 0.03, agreement: 0.03 }
+        Self {
+            width: 0.03,
+            stretch: 0.4,
+            stretch_contrast: 0.1,
+            contrast: 0.15,
+            length: 0.04,
+            least_share: 0.02,
+            pixels: 200,
+            pull: 0.03,
+            agreement: 0.03,
+        }
     }
 }
 
@@ -540,7 +554,7 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 45] {
+    fn checks(&self) -> [Check; 47] {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         [
             ("full.alternations", self.alternations as f32, self.alternations <= 16, "at most 16"),
@@ -576,6 +590,8 @@ impl FullSettings {
             positive("full.roughness.local.gain", r.local.gain),
             not_negative("full.roughness.local.half_pixels", r.local.half_pixels),
             ("full.roughness.joints.width", r.joints.width, (0.0..=0.5).contains(&r.joints.width), "in [0, 0.5]"),
+            positive("full.roughness.joints.stretch", r.joints.stretch),
+            positive("full.roughness.joints.stretch_contrast", r.joints.stretch_contrast),
             positive("full.roughness.joints.contrast", r.joints.contrast),
             positive("full.roughness.joints.length", r.joints.length),
             share("full.roughness.joints.least_share", r.joints.least_share),

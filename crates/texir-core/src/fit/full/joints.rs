@@ -1,14 +1,15 @@
 //! Joints: the lines between boards and tiles, whose albedo and finish are not those of what they divide.
 //!
 //! They are too thin for evidence of their own: few pixels see nothing else. But where they are is seen in albedo, as lines that
-//! stand out of their surroundings. All dark lines of a segment, and all bright ones, are taken to have one roughness. It is
-//! scanned with everything else left as it is, albedo solved anew, and believed where the views agree that it explains their
-//! pixels better than the segment's.
+//! stand out ([`super::lines`]): straight ones, or where a segment has none, any. All dark lines of a segment, and all bright
+//! ones, are taken to have one roughness. It is scanned with everything else left as it is, albedo solved anew, and believed
+//! where the views agree that it explains their pixels better than the segment's.
 
 use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
+use super::lines::{Line, Paint};
 use super::scan::{Evidence, Tally, cost};
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
@@ -24,13 +25,6 @@ const LEAST: f32 = 0.2;
 /// Nodes that are tried: every other one, from rough to smooth.
 fn tried() -> impl Iterator<Item = usize> {
     (0..NODES).rev().step_by(2)
-}
-
-/// The lines of each segment that are darker than what is around them, or brighter: two groups per segment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Line {
-    Darker,
-    Brighter,
 }
 
 /// What the pixels that see a group's lines say, by their share of them.
@@ -58,18 +52,23 @@ pub fn find(
     if joints.width == 0.0 {
         return Ok(vec![None; roughness.len()]);
     }
-    let lines = stand_out(problem, albedo, texel, joints);
     let segment = problem.segment.0;
-    let (of_segment, parent) = counted(&lines, segment, roughness, problem.segment.1);
+    let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
+    let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
+    let paint = Paint { ln: &ln, is_seen, segment, adjacency, texel };
+    let kinds = [paint.straight(joints), paint.narrow(joints)];
+    let enough = kinds.each_ref().map(|lines| enough(lines, problem.segment, joints.least_share));
     let group = |t: usize| -> Option<usize> {
-        let [all, darker, brighter] = of_segment[segment[t] as usize];
-        let few = |lines: u32| (lines as f32) < joints.least_share * all as f32;
-        match lines[t]? {
-            Line::Darker => (!few(darker)).then_some(2 * segment[t] as usize),
-            Line::Brighter => (!few(brighter)).then_some(2 * segment[t] as usize + 1),
-        }
+        let s = segment[t] as usize;
+        let of_side = |side: Line| {
+            let g = 2 * s + side as usize;
+            let kind = enough.iter().position(|enough| enough[g])?;
+            (kinds[kind][t] == Some(side)).then_some(g)
+        };
+        of_side(Line::Darker).or_else(|| of_side(Line::Brighter))
     };
     let group: Vec<Option<usize>> = (0..segment.len()).into_par_iter().map(group).collect();
+    let parent = means(roughness, problem.segment);
     let said = scan(problem, evidence, half, (albedo, roughness), &group, settings, progress)?;
     let chosen: Vec<Option<f32>> = said
         .iter()
@@ -79,73 +78,27 @@ pub fn find(
     Ok(group.into_iter().map(|g| chosen[g?]).collect())
 }
 
-/// Which seen texels lie on lines at most [`JointSettings::width`] wide and at least [`JointSettings::length`] long, by closing and opening the logarithm of albedo within
-/// segments (top-hat transforms; Serra, "Image Analysis and Mathematical Morphology", 1982).
-fn stand_out(problem: &AlbedoProblem<'_>, albedo: &[Vec3A], texel: f32, settings: &JointSettings) -> Vec<Option<Line>> {
-    let segment = problem.segment.0;
-    let rounds = (0.5 * settings.width / texel).round().max(1.0) as usize;
-    let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
-    let spread = |values: Vec<f32>, pick: fn(f32, f32) -> f32| {
-        (0..rounds).fold(values, |values, _| {
-            let around = |t: usize| {
-                let within = problem.adjacency.around(t as u32).filter(|n| segment[*n as usize] == segment[t]);
-                within.fold(values[t], |most, n| pick(most, values[n as usize]))
-            };
-            (0..values.len()).into_par_iter().map(around).collect()
-        })
-    };
-    let closed = spread(spread(ln.clone(), f32::max), f32::min);
-    let opened = spread(spread(ln.clone(), f32::min), f32::max);
-    let line = |t: usize| {
-        let (darker, brighter) = (closed[t] - ln[t], ln[t] - opened[t]);
-        match problem.seen.is_seen[t] && darker.max(brighter) > settings.contrast {
-            true if darker >= brighter => Some(Line::Darker),
-            true => Some(Line::Brighter),
-            false => None,
-        }
-    };
-    let lines: Vec<Option<Line>> = (0..ln.len()).into_par_iter().map(line).collect();
-    long(problem, &lines, (settings.length / texel).round() as usize)
+/// Whether the darker and the brighter lines of each segment are at least a share of its texels.
+fn enough(lines: &[Option<Line>], (segment, segments): (&[u32], usize), least_share: f32) -> Vec<bool> {
+    let mut texels = vec![0u32; segments];
+    let mut on_lines = vec![0u32; 2 * segments];
+    for (line, segment) in lines.iter().zip(segment) {
+        texels[*segment as usize] += 1;
+        line.into_iter().for_each(|side| on_lines[2 * *segment as usize + *side as usize] += 1);
+    }
+    let enough = |(g, on_lines): (usize, &u32)| *on_lines > 0 && *on_lines as f32 >= least_share * texels[g / 2] as f32;
+    on_lines.iter().enumerate().map(enough).collect()
 }
 
-/// The lines of at least `least` texels that touch: what stands out by itself is noise (an area opening; Vincent, "Morphological
-/// area openings and closings for grey-scale images", 1994).
-fn long(problem: &AlbedoProblem<'_>, lines: &[Option<Line>], least: usize) -> Vec<Option<Line>> {
-    let segment = problem.segment.0;
-    let mut long = vec![None; lines.len()];
-    let mut reached: Vec<bool> = lines.iter().map(Option::is_none).collect();
-    for start in 0..lines.len() {
-        if std::mem::replace(&mut reached[start], true) {
-            continue;
-        }
-        let mut line = vec![start as u32];
-        let mut at = 0;
-        while let Some(&t) = line.get(at) {
-            at += 1;
-            let goes_on = |n: usize| segment[n] == segment[start] && lines[n] == lines[start];
-            let touching = problem.adjacency.touching(t).filter(|n| goes_on(*n as usize));
-            line.extend(touching.filter(|n| !std::mem::replace(&mut reached[*n as usize], true)));
-        }
-        if line.len() >= least {
-            line.into_iter().for_each(|t| long[t as usize] = lines[start]);
-        }
+/// The mean roughness of each segment.
+fn means(roughness: &[f32], (segment, segments): (&[u32], usize)) -> Vec<f32> {
+    let mut sums = vec![(0.0, 0u32); segments];
+    for (segment, roughness) in segment.iter().zip(roughness) {
+        let (sum, count) = &mut sums[*segment as usize];
+        *sum += f64::from(*roughness);
+        *count += 1;
     }
-    long
-}
-
-/// Of each segment: how many texels it has, how many lie on darker and on brighter lines; and its mean roughness.
-fn counted(lines: &[Option<Line>], segment: &[u32], roughness: &[f32], segments: usize) -> (Vec<[u32; 3]>, Vec<f32>) {
-    let mut counts = vec![[0; 3]; segments];
-    let mut sums = vec![0.0; segments];
-    for ((line, segment), roughness) in lines.iter().zip(segment).zip(roughness) {
-        let [all, darker, brighter] = &mut counts[*segment as usize];
-        *all += 1;
-        *darker += u32::from(*line == Some(Line::Darker));
-        *brighter += u32::from(*line == Some(Line::Brighter));
-        sums[*segment as usize] += f64::from(*roughness);
-    }
-    let means = sums.into_iter().zip(&counts).map(|(sum, [all, ..])| (sum / f64::from((*all).max(1))) as f32).collect();
-    (counts, means)
+    sums.into_iter().map(|(sum, count)| (sum / f64::from(count.max(1))) as f32).collect()
 }
 
 /// What the pixels of each half of the views say about every group.

@@ -16,6 +16,7 @@ pub mod hierarchy;
 pub mod joints;
 pub mod kin;
 pub mod labels;
+pub mod lines;
 pub mod local;
 pub mod metals;
 pub mod observations;

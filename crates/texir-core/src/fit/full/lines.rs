@@ -1,0 +1,216 @@
+//! Lines that stand out in albedo, as joints of boards and tiles do.
+
+use rayon::prelude::*;
+
+use crate::fit::adjacency::{Adjacency, NONE};
+use crate::fit::settings::JointSettings;
+
+/// What a line is beside what is around it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// Darker.
+    Darker,
+    /// Brighter.
+    Brighter,
+}
+
+/// What surfaces are painted with. Lists are per texel.
+pub struct Paint<'a> {
+    /// The logarithm of albedo, mean of the channels.
+    pub ln: &'a [f32],
+    /// Whether a view sees it.
+    pub is_seen: &'a [bool],
+    /// Segment of each texel; lines do not leave it.
+    pub segment: &'a [u32],
+    /// Who is beside whom.
+    pub adjacency: &'a Adjacency,
+    /// Edge of a typical texel, metres.
+    pub texel: f32,
+}
+
+/// Left and right, up and down: the sides of [`Adjacency::beside`], of which the first lie before a texel in the order of the atlas.
+const AXES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
+
+impl Paint<'_> {
+    /// Which seen texels lie on straight lines along the rows or the columns of the atlas: where the logarithm of albedo is not what it
+    /// is on both sides, on average over the line as far as it is seen, and more so than beside. A texel at distance d along it
+    /// counts e^(−d/[`stretch`](JointSettings::stretch)).
+    pub fn straight(&self, settings: &JointSettings) -> Vec<Option<Line>> {
+        let away = (settings.width / self.texel).round().max(2.0) as usize;
+        let keep = (-self.texel / settings.stretch).exp();
+        let mut lines = vec![None; self.ln.len()];
+        for (across, along) in [(AXES[0], AXES[1]), (AXES[1], AXES[0])] {
+            let mean = self.followed(&self.contrast(across, away), along, keep);
+            lines.par_iter_mut().enumerate().filter(|(t, _)| self.is_seen[*t]).for_each(|(t, line)| {
+                let most = |side: &usize| self.step(t, *side).is_none_or(|n| mean[n].abs() <= mean[t].abs());
+                if mean[t].abs() > settings.stretch_contrast && across.iter().all(most) {
+                    *line = Some(if mean[t] < 0.0 { Line::Darker } else { Line::Brighter });
+                }
+            });
+        }
+        lines
+    }
+
+    /// The texel at a side, of the same segment.
+    fn step(&self, t: usize, side: usize) -> Option<usize> {
+        let next = self.adjacency.beside[t][side];
+        (next != NONE && self.segment[next as usize] == self.segment[t]).then_some(next as usize)
+    }
+
+    /// By how much each texel is brighter than the mean of those some steps away on both sides, in ln a, and 1; 0 and 0 where one of the
+    /// three is not seen.
+    fn contrast(&self, sides: [usize; 2], away: usize) -> Vec<[f32; 2]> {
+        /// What differs by more is no paint, such as the rim of what stands there.
+        const MOST: f32 = 0.3;
+        let seen = |t: &usize| self.is_seen[*t];
+        let of_texel = |t: usize| {
+            let beside = sides.map(|side| (0..away).try_fold(t, |t, _| self.step(t, side)).filter(seen));
+            match beside {
+                [Some(a), Some(b)] if seen(&t) => {
+                    [(self.ln[t] - 0.5 * (self.ln[a] + self.ln[b])).clamp(-MOST, MOST), 1.0]
+                }
+                _ => [0.0; 2],
+            }
+        };
+        (0..self.ln.len()).into_par_iter().map(of_texel).collect()
+    }
+
+    /// The mean of `contrast` before and behind each texel, weights falling by `keep` from one to the next; 0 where too little is seen.
+    fn followed(&self, contrast: &[[f32; 2]], [before, behind]: [usize; 2], keep: f32) -> Vec<f32> {
+        /// The least share of all weights.
+        const SEEN: f32 = 0.3;
+        let add = |sums: &mut [[f32; 2]], t: usize, side: usize| {
+            if let Some(next) = self.step(t, side) {
+                let lent = sums[next].map(|sum| keep * sum);
+                sums[t].iter_mut().zip(lent).for_each(|(sum, lent)| *sum += lent);
+            }
+        };
+        let (mut up_to, mut from) = (contrast.to_vec(), contrast.to_vec());
+        (0..contrast.len()).for_each(|t| add(&mut up_to, t, before));
+        (0..contrast.len()).rev().for_each(|t| add(&mut from, t, behind));
+        let all = (1.0 + keep) / (1.0 - keep);
+        let mean = |t: usize| {
+            let [sum, weight]: [f32; 2] = std::array::from_fn(|i| up_to[t][i] + from[t][i] - contrast[t][i]);
+            if weight > SEEN * all { sum / weight } else { 0.0 }
+        };
+        (0..contrast.len()).into_par_iter().map(mean).collect()
+    }
+
+    /// Which seen texels lie on lines of any course, at most [`JointSettings::width`] wide and at least [`JointSettings::length`] long, by
+    /// closing and opening the logarithm of albedo within segments (top-hat transforms; Serra, "Image Analysis and
+    /// Mathematical Morphology", 1982).
+    pub fn narrow(&self, settings: &JointSettings) -> Vec<Option<Line>> {
+        let rounds = (0.5 * settings.width / self.texel).round().max(1.0) as usize;
+        let spread = |values: Vec<f32>, pick: fn(f32, f32) -> f32| {
+            (0..rounds).fold(values, |values, _| {
+                let around = |t: usize| {
+                    let around = self.adjacency.around(t as u32);
+                    let within = around.filter(|n| self.segment[*n as usize] == self.segment[t]);
+                    within.fold(values[t], |most, n| pick(most, values[n as usize]))
+                };
+                (0..values.len()).into_par_iter().map(around).collect()
+            })
+        };
+        let closed = spread(spread(self.ln.to_vec(), f32::max), f32::min);
+        let opened = spread(spread(self.ln.to_vec(), f32::min), f32::max);
+        let line = |t: usize| {
+            let (darker, brighter) = (closed[t] - self.ln[t], self.ln[t] - opened[t]);
+            match self.is_seen[t] && darker.max(brighter) > settings.contrast {
+                true if darker >= brighter => Some(Line::Darker),
+                true => Some(Line::Brighter),
+                false => None,
+            }
+        };
+        let lines: Vec<Option<Line>> = (0..self.ln.len()).into_par_iter().map(line).collect();
+        self.long(&lines, (settings.length / self.texel).round() as usize)
+    }
+
+    /// The lines of at least `least` texels that touch: what stands out by itself is noise (an area opening; Vincent,
+    /// "Morphological area openings and closings for grey-scale images", 1994).
+    fn long(&self, lines: &[Option<Line>], least: usize) -> Vec<Option<Line>> {
+        let mut long = vec![None; lines.len()];
+        let mut reached: Vec<bool> = lines.iter().map(Option::is_none).collect();
+        for start in 0..lines.len() {
+            if std::mem::replace(&mut reached[start], true) {
+                continue;
+            }
+            let mut line = vec![start as u32];
+            let mut at = 0;
+            while let Some(&t) = line.get(at) {
+                at += 1;
+                let goes_on = |n: usize| self.segment[n] == self.segment[start] && lines[n] == lines[start];
+                let touching = self.adjacency.touching(t).filter(|n| goes_on(*n as usize));
+                line.extend(touching.filter(|n| !std::mem::replace(&mut reached[*n as usize], true)));
+            }
+            if line.len() >= least {
+                line.into_iter().for_each(|t| long[t as usize] = lines[start]);
+            }
+        }
+        long
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::hash2;
+
+    const EDGE: usize = 96;
+    /// Columns from one joint to the next.
+    const BOARD: usize = 12;
+
+    fn grid() -> Adjacency {
+        let at = |x: i32, y: i32| {
+            let inside = [x, y].iter().all(|c| (0..EDGE as i32).contains(c));
+            if inside { y as u32 * EDGE as u32 + x as u32 } else { NONE }
+        };
+        let beside = |t: usize| {
+            let (x, y) = ((t % EDGE) as i32, (t / EDGE) as i32);
+            [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| at(x + dx, y + dy))
+        };
+        Adjacency { beside: (0..EDGE * EDGE).map(beside).collect(), seams: Vec::new() }
+    }
+
+    fn is_joint(t: usize) -> bool {
+        t % EDGE % BOARD == 5
+    }
+
+    /// A floor of boards, each of its own albedo, joints darker by `contrast` under noise of ±0.3, of which a rug hides a part. Of the
+    /// texels that are seen: the share of joints that is found, and the share of what is found that is one.
+    fn found(contrast: f32, find: impl Fn(&Paint<'_>) -> Vec<Option<Line>>) -> [f32; 2] {
+        let random = |a: usize, b: u32| hash2(a as u32, b) as f32 / u32::MAX as f32 - 0.5;
+        let of_texel = |t: usize| {
+            let board = 0.4 * random((t % EDGE + BOARD - 5) / BOARD, 1);
+            board + 0.6 * random(t, 2) - if is_joint(t) { contrast } else { 0.0 }
+        };
+        let ln: Vec<f32> = (0..EDGE * EDGE).map(of_texel).collect();
+        let is_seen: Vec<bool> = (0..ln.len()).map(|t| t % EDGE < 60 || !(30..50).contains(&(t / EDGE))).collect();
+        let (adjacency, segment) = (grid(), vec![0; ln.len()]);
+        let paint = Paint { ln: &ln, is_seen: &is_seen, segment: &segment, adjacency: &adjacency, texel: 0.0125 };
+        let lines = find(&paint);
+        let count = |what: &dyn Fn(usize) -> bool| (0..ln.len()).filter(|t| is_seen[*t] && what(*t)).count() as f32;
+        let dark = |t: usize| lines[t] == Some(Line::Darker);
+        let both = count(&|t| dark(t) && is_joint(t));
+        [both / count(&is_joint), both / count(&dark).max(1.0)]
+    }
+
+    #[test]
+    fn straight_lines_are_followed_through_noise() {
+        let settings = JointSettings::default();
+        let [recall, precision] = found(0.2, |paint| paint.straight(&settings));
+        assert!(recall > 0.8 && precision > 0.9, "{recall} {precision}");
+        // By themselves, their texels do not stand out of such noise.
+        let [_, precision] = found(0.2, |paint| paint.narrow(&settings));
+        assert!(precision < 0.5, "{precision}");
+    }
+
+    #[test]
+    fn noise_makes_no_lines() {
+        let settings = JointSettings::default();
+        let share = |find: &dyn Fn(&Paint<'_>) -> Vec<Option<Line>>| found(0.0, find)[0];
+        assert!(share(&|paint| paint.straight(&settings)) < 0.02);
+        // Negative control: of hardly any stretch.
+        let short = JointSettings { stretch: 0.005, ..settings };
+        assert!(share(&|paint| paint.straight(&short)) > 0.05);
+    }
+}
