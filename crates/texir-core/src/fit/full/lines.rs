@@ -34,8 +34,12 @@ const AXES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
 impl Paint<'_> {
     /// Which seen texels lie on straight lines along the rows or the columns of the atlas: where the logarithm of albedo is not what it
     /// is on both sides, on average over the line as far as it is seen, and more so than beside. A texel at distance d along it
-    /// counts e^(−d/[`stretch`](JointSettings::stretch)).
+    /// counts e^(−d/[`stretch`](JointSettings::stretch)). None where texels are wider than lines may be: they show a line and what it
+    /// divides as one.
     pub fn straight(&self, settings: &JointSettings) -> Vec<Option<Line>> {
+        if self.texel > settings.width {
+            return vec![None; self.ln.len()];
+        }
         let away = (settings.width / self.texel).round().max(2.0) as usize;
         let keep = (-self.texel / settings.stretch).exp();
         let mut lines = vec![None; self.ln.len()];

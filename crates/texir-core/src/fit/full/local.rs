@@ -204,7 +204,7 @@ impl Neighbours {
     /// by its mean; Celeux, Forbes and Peyrard, "EM procedures using mean field-like approximations", 2003.)
     fn shares(&self, tallies: &[Tally], [smooth, rough]: [usize; 2]) -> Vec<f64> {
         /// Logarithm of the odds that a block beside, all of one finish, lends to that.
-        const LENT: f64 = 0.5;
+        const LENT: f64 = 1.0;
         /// Pixels that a face's share must rest on to count as much as its segment's.
         const PRIOR_PIXELS: f64 = 30.0;
         /// No face is taken to be all of one finish,
