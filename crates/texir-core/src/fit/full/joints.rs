@@ -84,7 +84,7 @@ fn enough(lines: &[Option<Line>], (segment, segments): (&[u32], usize), least_sh
     let mut on_lines = vec![0u32; 2 * segments];
     for (line, segment) in lines.iter().zip(segment) {
         texels[*segment as usize] += 1;
-        line.into_iter().for_each(|side| on_lines[2 * *segment as usize + *side as usize] += 1);
+        line.iter().for_each(|side| on_lines[2 * *segment as usize + *side as usize] += 1);
     }
     let enough = |(g, on_lines): (usize, &u32)| *on_lines > 0 && *on_lines as f32 >= least_share * texels[g / 2] as f32;
     on_lines.iter().enumerate().map(enough).collect()
