@@ -257,22 +257,38 @@ impl<'a> AlbedoProblem<'a> {
 
     /// λ/(1 + |Δa|²/s²) to the right and to the lower neighbour; 0 across segments.
     fn edge_weights(&self, albedo: &[Vec3A]) -> Vec<[f32; 2]> {
-        let AlbedoSettings { smoothness, edge_scale, .. } = *self.settings;
-        let segment = self.segment.0;
-        self.adjacency
-            .beside
-            .par_iter()
-            .enumerate()
-            .map(|(t, beside)| {
-                [beside[1], beside[3]].map(|n| {
-                    if n == NONE || segment[n as usize] != segment[t] {
-                        return 0.0;
-                    }
-                    let difference = albedo[t] - albedo[n as usize];
-                    smoothness / (1.0 + difference.length_squared() / 3.0 / edge_scale.powi(2))
-                })
+        let smoothness = self.settings.smoothness;
+        let of_texel = |t: usize| self.steps(albedo, t).map(|step| step.map_or(0.0, |step| smoothness / (1.0 + step)));
+        (0..albedo.len()).into_par_iter().map(of_texel).collect()
+    }
+
+    /// |Δa|²/s² to the right and to the lower neighbour; `None` across segments.
+    fn steps(&self, albedo: &[Vec3A], t: usize) -> [Option<f32>; 2] {
+        let (segment, beside) = (self.segment.0, self.adjacency.beside[t]);
+        [beside[1], beside[3]].map(|n| {
+            (n != NONE && segment[n as usize] == segment[t]).then(|| {
+                let difference = albedo[t] - albedo[n as usize];
+                difference.length_squared() / 3.0 / self.settings.edge_scale.powi(2)
             })
-            .collect()
+        })
+    }
+
+    /// How much the albedo of each segment varies: the sum of ln(1 + |Δa|²/s²), the loss of the smoothness prior, over the pairs of
+    /// neighbours that both `count`; and how many there are.
+    pub fn variation(&self, albedo: &[Vec3A], count: &[bool]) -> Vec<[f64; 2]> {
+        let counts = |t: u32| t != NONE && count[t as usize];
+        let of_texel = |t: usize| {
+            let beside = self.adjacency.beside[t];
+            let steps = self.steps(albedo, t).into_iter().zip([beside[1], beside[3]]);
+            let counting = steps.filter(|(_, n)| counts(t as u32) && counts(*n)).filter_map(|(step, _)| step);
+            counting.fold([0.0; 2], |[sum, pairs], step| [sum + step.ln_1p(), pairs + 1.0])
+        };
+        let texels: Vec<[f32; 2]> = (0..albedo.len()).into_par_iter().map(of_texel).collect();
+        let mut sums = vec![[0.0; 2]; self.segment.1];
+        for (s, texel) in self.segment.0.iter().zip(texels) {
+            sums[*s as usize].iter_mut().zip(texel).for_each(|(sum, of_texel)| *sum += f64::from(of_texel));
+        }
+        sums
     }
 }
 

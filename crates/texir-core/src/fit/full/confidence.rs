@@ -91,6 +91,7 @@ mod tests {
             cost: pixels().map(cost).collect(),
             say: pixels().map(|_| 1.0).collect(),
             slope: vec![[0.0; NODES]; SEGMENTS as usize],
+            variation: vec![],
         };
         let heaviest: Vec<u32> = pixels().map(|(s, column)| counts(s, s * COLUMNS as u32 + column)).collect();
         let surface = Surface {

@@ -26,6 +26,8 @@ pub struct Evidence {
     pub say: Vec<f32>,
     /// Per segment and node: slope b of its grazing term b (1−nv)⁵.
     pub slope: Vec<[f32; NODES]>,
+    /// Per segment: how much the albedo varies that goes with each node.
+    pub variation: Vec<Variation>,
 }
 
 impl Evidence {
@@ -63,9 +65,11 @@ impl Evidence {
         tallies
     }
 
-    /// What the pixels of every segment say.
+    /// What the pixels of every segment say, and its albedo.
     pub fn by_segment(&self) -> Vec<Tally> {
-        self.by_group(&self.segment, self.slope.len())
+        let mut tallies = self.by_group(&self.segment, self.slope.len());
+        tallies.iter_mut().zip(&self.variation).for_each(|(tally, variation)| tally.variation = *variation);
+        tallies
     }
 
     /// Takes what `other` says of the segments of which `which` is true.
@@ -75,7 +79,10 @@ impl Evidence {
                 self.cost[p] = other.cost[p];
             }
         }
-        (0..self.slope.len()).filter(|s| which[*s]).for_each(|s| self.slope[s] = other.slope[s]);
+        for s in (0..self.slope.len()).filter(|s| which[*s]) {
+            self.slope[s] = other.slope[s];
+            self.variation[s] = other.variation[s];
+        }
     }
 }
 
@@ -103,6 +110,31 @@ const INDEPENDENT: f32 = 8.0;
 /// and the pixels at which it is half of that.
 const HALF_BELIEVED: f32 = 100.0;
 
+/// What the logarithm of an albedo's variation counts beside that of the cost of pixels: as many pairs of neighbours as there are
+/// for each texel.
+const PAIRS: f32 = 2.0;
+
+/// How much an albedo varies from texel to texel, which tells of highlights as well: at the wrong roughness it has to imitate
+/// those that are missing and to undo those that are too many.
+#[derive(Clone, Copy, Default)]
+pub struct Variation {
+    /// Σ over neighbouring texels ([`AlbedoProblem::variation`]), at each node.
+    pub sum: [f64; NODES],
+    /// How many pairs of neighbours that is of.
+    pub pairs: f64,
+}
+
+impl Variation {
+    /// The logarithm of the mean at each node; 0 where there is none. As [`Tally::misfit`], it is a profile log-likelihood: of a
+    /// pattern whose strength is not known beforehand.
+    fn ln_mean(&self) -> [f32; NODES] {
+        if self.pairs == 0.0 { [0.0; NODES] } else { self.sum.map(|sum| (sum / self.pairs + FLAT).ln() as f32) }
+    }
+}
+
+/// Mean variation below which nothing counts as more even.
+const FLAT: f64 = 1e-4;
+
 /// What several pixels say together.
 #[derive(Clone, Copy, Default)]
 pub struct Tally {
@@ -110,6 +142,8 @@ pub struct Tally {
     pub cost: [f64; NODES],
     /// Σ of their say: how many pixels they are worth.
     pub pixels: f64,
+    /// What the albedo of a whole surface says. That of several is not added up: some are painted more wildly than others.
+    pub variation: Variation,
 }
 
 impl Tally {
@@ -122,7 +156,7 @@ impl Tally {
 
     /// What a share of the pixels says.
     pub fn times(&self, share: f64) -> Self {
-        Self { cost: self.cost.map(|cost| share * cost), pixels: share * self.pixels }
+        Self { cost: self.cost.map(|cost| share * cost), pixels: share * self.pixels, ..Self::default() }
     }
 
     /// Adds what others say.
@@ -150,9 +184,10 @@ impl Tally {
     }
 
     /// The logarithm of the mean cost at each node: the negative profile log-likelihood, per pixel, of residuals whose size is
-    /// not known beforehand.
+    /// not known beforehand; and that of how much albedo varies.
     pub fn misfit(&self) -> [f32; NODES] {
-        self.cost.map(|cost| self.ln_mean(cost))
+        let variation = self.variation.ln_mean();
+        std::array::from_fn(|k| self.ln_mean(self.cost[k]) + PAIRS * variation[k])
     }
 
     /// The logarithm of the likelihood of each node's roughness: (mean cost)^-n, as of residuals whose size is not known. The number
@@ -182,6 +217,8 @@ pub fn scan(
     let segment = pure_segments(problem, settings.min_cosine);
     let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
+    let mut variation = vec![Variation::default(); problem.segment.1];
+    let told = told(problem, &segment);
     for k in (0..NODES).rev() {
         progress.check()?;
         // What is known of the grazing terms from rougher nodes is no business of albedo.
@@ -196,6 +233,10 @@ pub fn scan(
         problem.solve(albedo, &target, &sigma, rounds, settings.iterations);
         let residual: Vec<Vec3A> =
             (0..problem.seen.len()).into_par_iter().map(|p| problem.residual(albedo, &target, p)).collect();
+        variation.iter_mut().zip(problem.variation(albedo, &told)).for_each(|(variation, [sum, pairs])| {
+            variation.sum[k] = sum;
+            variation.pairs = pairs;
+        });
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
         slope
             .iter_mut()
@@ -213,7 +254,7 @@ pub fn scan(
         progress.advance(1);
     }
     progress.finish();
-    Ok(Evidence { segment, cost: costs, say: say(&problem.seen.area), slope })
+    Ok(Evidence { segment, cost: costs, say: say(&problem.seen.area), slope, variation })
 }
 
 /// The slope of a segment's grazing term that the nodes rougher than `k` have found; 0 before there are any.
@@ -232,6 +273,16 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
             if problem.seen.cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
         })
         .collect()
+}
+
+/// Which texels the pixels see that say something of their `segment`: elsewhere, albedo is told by what is seen at grazing angles,
+/// or along an edge.
+fn told(problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<bool> {
+    let mut told = vec![false; problem.segment.0.len()];
+    let rows = &problem.seen.rows;
+    let counting = (0..segment.len()).filter(|p| segment[*p] != NONE);
+    counting.flat_map(|p| rows.row(p)).for_each(|tap| told[tap.texel as usize] = true);
+    told
 }
 
 /// How much of a say pixels have that show these areas: it grows with the root of the area, and is 1 on average. Whoever is

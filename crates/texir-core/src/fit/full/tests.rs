@@ -120,6 +120,18 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
 }
 
 impl Toy {
+    /// Leaves the first view only: no texel is seen twice.
+    fn seen_by_one(&mut self) {
+        let (seen, pixels) = (&mut self.seen, self.segment.iter().filter(|s| **s == 0).count());
+        seen.radiance.truncate(pixels);
+        seen.cosine.truncate(pixels);
+        seen.area.truncate(pixels);
+        seen.block.truncate(pixels);
+        seen.rows.taps.truncate(pixels);
+        seen.rows.offsets.truncate(pixels + 1);
+        seen.index(self.segment.len());
+    }
+
     fn problem<'a>(&'a self, settings: &'a AlbedoSettings) -> AlbedoProblem<'a> {
         let segment = (&self.segment[..], 2);
         AlbedoProblem::new(&self.seen, &self.irradiance, &self.adjacency, segment, DiffuseModel::Lambert, settings)
@@ -137,6 +149,26 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
         let found = settle(&evidence.by_group(&group, 1), &[[]])[0];
         assert!((found - truth).abs() < 0.02, "r {truth}: found {found}");
+    }
+}
+
+#[test]
+fn a_single_view_tells_roughness_by_what_albedo_would_have_to_imitate() {
+    let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
+    for truth in [0.15f32, 0.3, 0.5] {
+        // Boards of their own paint each.
+        let mut toy = toy(|t| Vec3A::new(0.3, 0.5, 0.4) + 0.05 * (t % FLOOR / 2 % 2) as f32, truth, 1.0);
+        toy.seen_by_one();
+        let problem = toy.problem(&settings);
+        let mut albedo = problem.start();
+        let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
+        let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
+        let found = settle(&evidence.by_segment(), &[[]; 2])[0];
+        assert!((found - truth).abs() < 0.03, "r {truth}: found {found}");
+        // Negative control: its pixels alone are explained by some albedo at any roughness.
+        let alone = evidence.by_group(&group, 1)[0].misfit();
+        let [least, most] = [f32::min, f32::max].map(|pick| alone.iter().copied().reduce(pick).unwrap());
+        assert!(most - least < 1e-3, "r {truth}: {least} to {most}");
     }
 }
 
@@ -244,6 +276,7 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
             cost: vec![[half::f16::ZERO; NODES]; pixels],
             say: vec![1.0; pixels],
             slope: vec![[0.0; NODES]; 2],
+            variation: vec![],
         };
         // Every view sees each of the floor's texels once.
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
@@ -286,7 +319,7 @@ fn colours_in_which_residuals_differ_count_by_their_weight() {
 fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
     let mut cost = [half::f16::ONE; crate::specular_table::NODES];
     cost[8] = half::f16::ZERO;
-    let evidence = Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![[0.0; NODES]; 2] };
+    let evidence = Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![[0.0; NODES]; 2], variation: vec![] };
     let groups = evidence.by_segment();
     let settled = |pull, pixels| {
         let parents = [0.8, 0.6].map(|roughness| [Parent { roughness, pull, pixels }]);
@@ -309,7 +342,7 @@ fn halves_of_the_views_say_alike_much_of_each_segment() {
     let segment = vec![0, 1, 1, 1, 0, 1, 1, NONE];
     let cost = vec![[half::f16::ZERO; NODES]; 8];
     let say = vec![1.0, 5.0, 1.0, 1.0, 1.0, 3.0, 1.0, 1.0];
-    let evidence = Evidence { segment, cost, say, slope: vec![[0.0; NODES]; 2] };
+    let evidence = Evidence { segment, cost, say, slope: vec![[0.0; NODES]; 2], variation: vec![] };
     let half = evidence.halves(&views);
     assert_ne!(half[0], half[4]);
     // Of the second, views 0 to 3 say 5, 2, 3 and 1: 5 against 3 and 2, and 1 anywhere.
@@ -375,6 +408,7 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
             .collect::<Vec<[half::f16; NODES]>>(),
         say: vec![1.0; texels.len()],
         slope: vec![],
+        variation: vec![],
     };
     let segment = vec![0; texels.len()];
     // Views take turns, texel by texel.
@@ -449,6 +483,7 @@ fn the_blocks_of_a_face_speak_for_each_other() {
         cost: texels.iter().map(cost).collect(),
         say: vec![1.0; texels.len()],
         slope: vec![],
+        variation: vec![],
     };
     let by_face = |face: &[u32]| {
         let half: Vec<u8> = texels.iter().map(|t| (t % 2) as u8).collect();
@@ -481,7 +516,7 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
         std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
     };
     let settled = |say: Vec<f32>| {
-        let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say, slope: vec![] };
+        let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say, slope: vec![], variation: vec![] };
         nearest_node(settle(&evidence.by_group(&evidence.segment, 1), &[[]])[0])
     };
     assert!(settled(say) < nearest_node(0.2));
