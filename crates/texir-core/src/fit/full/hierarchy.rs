@@ -1,11 +1,12 @@
 //! From evidence per pixel to roughness per texel: shrinkage along a hierarchy of ever smaller groups.
 //!
 //! Each group takes the roughness that explains its n pixels best, drawn to its parents': the minimum over r of
-//! ln(mean cost(r)) + Σ (pull + n_parent/n) · (2 (r − r_parent))². The logarithm makes it the likelihood of residuals whose
-//! size is not known beforehand: what is explained badly at any roughness says little about it. It does not grow with the number
-//! of pixels; what grows with that is how little a parent counts beside it, unless its pull is for good: what goes wrong here
-//! (irradiance, the BRDF model) is systematic and does not average out. Distances are those of r itself, in which steps look
-//! alike: by ln r, a mirror would be further from what lies between it and chalk than chalk is.
+//! ln(mean cost(r)) + Σ (pull + n_parent/n) · (2 (r − r_parent))², for a segment with what its albedo says besides
+//! ([`super::variation`]). The logarithm makes it the likelihood of residuals whose size is not known beforehand: what is
+//! explained badly at any roughness says little about it. It does not grow with the number of pixels; what grows with that is
+//! how little a parent counts beside it, unless its pull is for good: what goes wrong here (irradiance, the BRDF model) is
+//! systematic and does not average out. Distances are those of r itself, in which steps look alike: by ln r, a mirror would
+//! be further from what lies between it and chalk than chalk is.
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -49,13 +50,13 @@ pub fn settle<const N: usize>(groups: &[Tally], parents: &[[Parent; N]]) -> Vec<
             if tally.pixels == 0.0 {
                 return mean(parents);
             }
-            let misfit = tally.misfit();
+            let against = tally.against();
             let drawn = |k: usize| -> f32 {
                 let by =
                     |p: &Parent| (p.pull + p.pixels / tally.pixels as f32) * (2.0 * (node(k) - p.roughness)).powi(2);
                 parents.iter().map(by).sum()
             };
-            minimum(&std::array::from_fn(|k| misfit[k] + drawn(k)))
+            minimum(&std::array::from_fn(|k| against[k] + drawn(k)))
         })
         .collect()
 }

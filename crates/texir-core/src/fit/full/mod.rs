@@ -24,6 +24,7 @@ pub mod palette;
 mod reflections;
 pub mod scan;
 pub mod segments;
+pub mod variation;
 
 use std::f32::consts::PI;
 use std::iter::repeat_n;

@@ -10,6 +10,7 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
+use super::variation::{self, Variation};
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::RoughnessSettings;
@@ -110,31 +111,6 @@ const INDEPENDENT: f32 = 8.0;
 /// and the pixels at which it is half of that.
 const HALF_BELIEVED: f32 = 100.0;
 
-/// What the logarithm of an albedo's variation counts beside that of the cost of pixels: as many pairs of neighbours as there are
-/// for each texel.
-const PAIRS: f32 = 2.0;
-
-/// How much an albedo varies from texel to texel, which tells of highlights as well: at the wrong roughness it has to imitate
-/// those that are missing and to undo those that are too many.
-#[derive(Clone, Copy, Default)]
-pub struct Variation {
-    /// Σ over neighbouring texels ([`AlbedoProblem::variation`]), at each node.
-    pub sum: [f64; NODES],
-    /// How many pairs of neighbours that is of.
-    pub pairs: f64,
-}
-
-impl Variation {
-    /// The logarithm of the mean at each node; 0 where there is none. As [`Tally::misfit`], it is a profile log-likelihood: of a
-    /// pattern whose strength is not known beforehand.
-    fn ln_mean(&self) -> [f32; NODES] {
-        if self.pairs == 0.0 { [0.0; NODES] } else { self.sum.map(|sum| (sum / self.pairs + FLAT).ln() as f32) }
-    }
-}
-
-/// Mean variation below which nothing counts as more even.
-const FLAT: f64 = 1e-4;
-
 /// What several pixels say together.
 #[derive(Clone, Copy, Default)]
 pub struct Tally {
@@ -184,13 +160,18 @@ impl Tally {
     }
 
     /// The logarithm of the mean cost at each node: the negative profile log-likelihood, per pixel, of residuals whose size is
-    /// not known beforehand; and that of how much albedo varies.
+    /// not known beforehand.
     pub fn misfit(&self) -> [f32; NODES] {
-        let variation = self.variation.ln_mean();
-        std::array::from_fn(|k| self.ln_mean(self.cost[k]) + PAIRS * variation[k])
+        self.cost.map(|cost| self.ln_mean(cost))
     }
 
-    /// The logarithm of the likelihood of each node's roughness: (mean cost)^-n, as of residuals whose size is not known. The number
+    /// All that speaks against each node's roughness: the misfit, and what albedo would have to imitate.
+    pub fn against(&self) -> [f32; NODES] {
+        let (misfit, varies) = (self.misfit(), self.variation.against());
+        std::array::from_fn(|k| misfit[k] + varies[k])
+    }
+
+    /// The logarithm of the likelihood of each node's roughness: of pixels, (mean cost)^-n, as of residuals whose size is not known. The number
     /// n of what counts as independent is bounded however many pixels there are, since what goes wrong here is systematic
     /// ([`super::hierarchy`]).
     pub fn ln_likelihood(&self) -> [f32; NODES] {
@@ -199,7 +180,7 @@ impl Tally {
             return [0.0; NODES];
         }
         let independent = INDEPENDENT * pixels / (pixels + HALF_BELIEVED);
-        self.misfit().map(|misfit| -independent * misfit)
+        self.against().map(|against| -independent * against)
     }
 }
 
@@ -218,7 +199,7 @@ pub fn scan(
     let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
     let mut variation = vec![Variation::default(); problem.segment.1];
-    let told = told(problem, &segment);
+    let told = variation::told(problem, &segment);
     for k in (0..NODES).rev() {
         progress.check()?;
         // What is known of the grazing terms from rougher nodes is no business of albedo.
@@ -273,16 +254,6 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
             if problem.seen.cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
         })
         .collect()
-}
-
-/// Which texels the pixels see that say something of their `segment`: elsewhere, albedo is told by what is seen at grazing angles,
-/// or along an edge.
-fn told(problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<bool> {
-    let mut told = vec![false; problem.segment.0.len()];
-    let rows = &problem.seen.rows;
-    let counting = (0..segment.len()).filter(|p| segment[*p] != NONE);
-    counting.flat_map(|p| rows.row(p)).for_each(|tap| told[tap.texel as usize] = true);
-    told
 }
 
 /// How much of a say pixels have that show these areas: it grows with the root of the area, and is 1 on average. Whoever is

@@ -319,7 +319,13 @@ fn colours_in_which_residuals_differ_count_by_their_weight() {
 fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
     let mut cost = [half::f16::ONE; crate::specular_table::NODES];
     cost[8] = half::f16::ZERO;
-    let evidence = Evidence { segment: vec![0], cost: vec![cost], say: vec![1.0], slope: vec![[0.0; NODES]; 2], variation: vec![] };
+    let evidence = Evidence {
+        segment: vec![0],
+        cost: vec![cost],
+        say: vec![1.0],
+        slope: vec![[0.0; NODES]; 2],
+        variation: vec![],
+    };
     let groups = evidence.by_segment();
     let settled = |pull, pixels| {
         let parents = [0.8, 0.6].map(|roughness| [Parent { roughness, pull, pixels }]);
@@ -516,7 +522,13 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
         std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
     };
     let settled = |say: Vec<f32>| {
-        let evidence = Evidence { segment: vec![0; 303], cost: (0..303).map(cost).collect(), say, slope: vec![], variation: vec![] };
+        let evidence = Evidence {
+            segment: vec![0; 303],
+            cost: (0..303).map(cost).collect(),
+            say,
+            slope: vec![],
+            variation: vec![],
+        };
         nearest_node(settle(&evidence.by_group(&evidence.segment, 1), &[[]])[0])
     };
     assert!(settled(say) < nearest_node(0.2));

@@ -1,0 +1,45 @@
+//! What an albedo says of roughness: how much it would have to imitate.
+//!
+//! Where no texel is seen from two sides, pixels alone say nothing: at any roughness, some albedo explains them. But at the wrong
+//! one it takes up the highlights that are missing, and undoes those that are too many. So the roughness is likely at which
+//! albedo varies least from texel to texel. What a surface is painted with varies alike at all of them.
+
+use super::albedo::AlbedoProblem;
+use crate::fit::adjacency::NONE;
+use crate::specular_table::NODES;
+
+/// What the logarithm of the mean variation counts beside that of the cost of pixels: there are two pairs of neighbours for each
+/// texel.
+const PAIRS: f32 = 2.0;
+/// Mean variation below which nothing counts as more even.
+const FLAT: f64 = 1e-4;
+
+/// How much the albedo of a segment varies that goes with each node's roughness.
+#[derive(Clone, Copy, Default)]
+pub struct Variation {
+    /// Σ over neighbouring texels ([`AlbedoProblem::variation`]), at each node.
+    pub sum: [f64; NODES],
+    /// How many pairs of neighbours that is of.
+    pub pairs: f64,
+}
+
+impl Variation {
+    /// What speaks against each node's roughness: the logarithm of the mean, as it is not known beforehand how strong the pattern
+    /// is; 0 where there are no neighbours.
+    pub fn against(&self) -> [f32; NODES] {
+        match self.pairs {
+            0.0 => [0.0; NODES],
+            pairs => self.sum.map(|sum| PAIRS * (sum / pairs + FLAT).ln() as f32),
+        }
+    }
+}
+
+/// Which texels are seen by pixels that say something of their `segment`. Elsewhere, albedo has only been told at grazing angles or
+/// along an edge, where models are not exact.
+pub fn told(problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<bool> {
+    let mut told = vec![false; problem.segment.0.len()];
+    let rows = &problem.seen.rows;
+    let saying = (0..segment.len()).filter(|p| segment[*p] != NONE);
+    saying.flat_map(|p| rows.row(p)).for_each(|tap| told[tap.texel as usize] = true);
+    told
+}
