@@ -22,8 +22,10 @@ use crate::fit::settings::{AlbedoSettings, PaletteSettings};
 use crate::specular_table::{Curve, node};
 use crate::texture::Tap;
 
-/// Items per task of a parallel loop.
+/// Items per task of a parallel loop,
 const BLOCK: usize = 4096;
+/// and of several, whose results are in memory at once.
+const WIDE_BLOCK: usize = 64 * BLOCK;
 
 /// The roughness that albedo is sought for.
 pub enum Roughness<'a> {
@@ -283,10 +285,13 @@ impl<'a> AlbedoProblem<'a> {
             let counting = steps.filter(|(_, n)| counts(t as u32) && counts(*n)).filter_map(|(step, _)| step);
             counting.fold([0.0; 2], |[sum, pairs], step| [sum + step.ln_1p(), pairs + 1.0])
         };
-        let texels: Vec<[f32; 2]> = (0..albedo.len()).into_par_iter().map(of_texel).collect();
         let mut sums = vec![[0.0; 2]; self.segment.1];
-        for (s, texel) in self.segment.0.iter().zip(texels) {
-            sums[*s as usize].iter_mut().zip(texel).for_each(|(sum, of_texel)| *sum += f64::from(of_texel));
+        for (block, segments) in self.segment.0.chunks(WIDE_BLOCK).enumerate() {
+            let first = block * WIDE_BLOCK;
+            let texels: Vec<[f32; 2]> = (first..first + segments.len()).into_par_iter().map(of_texel).collect();
+            for (s, texel) in segments.iter().zip(texels) {
+                sums[*s as usize].iter_mut().zip(texel).for_each(|(sum, of_texel)| *sum += f64::from(of_texel));
+            }
         }
         sums
     }

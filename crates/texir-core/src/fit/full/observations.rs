@@ -33,8 +33,10 @@ const GRAZING: f32 = 0.05;
 pub struct Observations {
     /// Observed radiance.
     pub radiance: Vec<Vec3A>,
-    /// n·v.
+    /// n·v, the mean over what the pixel shows,
     pub cosine: Vec<f32>,
+    /// and the least.
+    pub least_cosine: Vec<f32>,
     /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
     pub area: Vec<f32>,
     /// Specular radiance of a dielectric by roughness, of blocks of pixels;
@@ -140,13 +142,15 @@ impl Observer<'_> {
         let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
         let seen_by = |&(pixel, _): &(usize, Vec<Tap>)| {
             let points = strata.points(pixel);
-            let cosine = points.iter().map(ShadePoint::cosine).sum::<f32>() / STRATA as f32;
+            let cosines = points.each_ref().map(ShadePoint::cosine);
+            let cosine = cosines.iter().sum::<f32>() / STRATA as f32;
+            let least_cosine = cosines.into_iter().fold(1.0, f32::min);
             let patch = Patch::of(&points, label(&classes, pixel));
             let distance = patch.position.distance(view.camera.position());
             let area = view.camera.solid_angle(pixel) * distance * distance / cosine.max(GRAZING);
-            ((cosine, area), patch)
+            ((cosine, least_cosine, area), patch)
         };
-        let (shown, patches): (Vec<(f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
+        let (shown, patches): (Vec<(f32, f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
         let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
         let edge = self.settings.block_edge(&view.camera);
         let blocks = blocks::share(&indices, &patches, view.camera.width, edge);
@@ -175,8 +179,11 @@ impl Observer<'_> {
             all.white_curves.extend(tables(&format!("view-{number}-white"), 1.0)?);
         }
         all.block.extend(blocks.of.iter().map(|block| first + block));
-        all.cosine.extend(shown.iter().map(|(cosine, _)| cosine));
-        all.area.extend(shown.iter().map(|(_, area)| area));
+        for (cosine, least_cosine, area) in shown {
+            all.cosine.push(cosine);
+            all.least_cosine.push(least_cosine);
+            all.area.push(area);
+        }
         for (pixel, taps) in &pixels {
             all.radiance.push(Vec3A::from(image.data[*pixel]));
             all.rows.taps.extend(taps);
@@ -271,5 +278,8 @@ mod tests {
         let seen = observed(view);
         assert!(seen.len() < all.len() - 50 && seen.len() > 50, "{} of {}", seen.len(), all.len());
         assert_eq!(seen.radiance, masked.radiance);
+        // A pixel of 6° sees the square from angles that differ.
+        let cosines = || all.least_cosine.iter().zip(&all.cosine);
+        assert!(cosines().all(|(least, mean)| least < mean && least > &(mean - 0.15)));
     }
 }

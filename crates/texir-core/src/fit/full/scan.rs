@@ -167,20 +167,20 @@ impl Tally {
 
     /// All that speaks against each node's roughness: the misfit, and what albedo would have to imitate.
     pub fn against(&self) -> [f32; NODES] {
-        let (misfit, varies) = (self.misfit(), self.variation.against());
+        let (misfit, varies) = (self.misfit(), self.variation.against(self.pixels));
         std::array::from_fn(|k| misfit[k] + varies[k])
     }
 
-    /// The logarithm of the likelihood of each node's roughness: of pixels, (mean cost)^-n, as of residuals whose size is not known. The number
-    /// n of what counts as independent is bounded however many pixels there are, since what goes wrong here is systematic
-    /// ([`super::hierarchy`]).
+    /// The logarithm of the likelihood of each node's roughness by its pixels: (mean cost)^-n, as of residuals whose size is not known.
+    /// The number n of what counts as independent is bounded however many pixels there are, since what goes wrong here is
+    /// systematic ([`super::hierarchy`]).
     pub fn ln_likelihood(&self) -> [f32; NODES] {
         let pixels = self.pixels as f32;
         if pixels == 0.0 {
             return [0.0; NODES];
         }
         let independent = INDEPENDENT * pixels / (pixels + HALF_BELIEVED);
-        self.against().map(|against| -independent * against)
+        self.misfit().map(|misfit| -independent * misfit)
     }
 }
 
@@ -243,7 +243,8 @@ fn known(slope: &[f32; NODES], k: usize) -> f32 {
     slope.get(k + 1).copied().unwrap_or(0.0)
 }
 
-/// The one segment that a pixel sees, at a cosine above `min_cosine`; [`NONE`] otherwise.
+/// The one segment that a pixel sees, all of it at a cosine above `min_cosine`; [`NONE`] otherwise: the grazing side of an edge
+/// reflects more than all the rest of the pixel.
 fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
     let segments = problem.segment.0;
     (0..problem.seen.len())
@@ -251,7 +252,7 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
         .map(|p| {
             let mut seen = problem.seen.rows.row(p).iter().map(|tap| segments[tap.texel as usize]);
             let first = seen.next().unwrap_or(NONE);
-            if problem.seen.cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
+            if problem.seen.least_cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
         })
         .collect()
 }

@@ -98,6 +98,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
                 }; STRATA],
             );
             seen.cosine.push(to_camera.z);
+            seen.least_cosine.push(to_camera.z);
             seen.area.push(1.0);
             seen.rows.taps.push(Tap { texel: t as u32, weight: 1.0 });
             seen.rows.offsets.push(seen.rows.taps.len() as u32);
@@ -125,6 +126,7 @@ impl Toy {
         let (seen, pixels) = (&mut self.seen, self.segment.iter().filter(|s| **s == 0).count());
         seen.radiance.truncate(pixels);
         seen.cosine.truncate(pixels);
+        seen.least_cosine.truncate(pixels);
         seen.area.truncate(pixels);
         seen.block.truncate(pixels);
         seen.rows.taps.truncate(pixels);
@@ -170,6 +172,19 @@ fn a_single_view_tells_roughness_by_what_albedo_would_have_to_imitate() {
         let [least, most] = [f32::min, f32::max].map(|pick| alone.iter().copied().reduce(pick).unwrap());
         assert!(most - least < 1e-3, "r {truth}: {least} to {most}");
     }
+}
+
+#[test]
+fn a_pixel_of_which_a_part_is_seen_at_a_grazing_angle_says_nothing() {
+    let settings = AlbedoSettings::default();
+    let mut toy = toy(|_| Vec3A::splat(0.5), 0.3, 1.0);
+    let usual = 3;
+    let edge = usual + 1;
+    toy.seen.least_cosine[edge] = 0.1;
+    let problem = toy.problem(&settings);
+    let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut problem.start(), &Silent).unwrap();
+    assert!(toy.seen.cosine[edge] > 0.4 && toy.seen.cosine[usual] > 0.4);
+    assert_eq!([usual, edge].map(|p| evidence.segment[p]), [0, NONE]);
 }
 
 #[test]

@@ -8,9 +8,12 @@ use super::albedo::AlbedoProblem;
 use crate::fit::adjacency::NONE;
 use crate::specular_table::NODES;
 
-/// What the logarithm of the mean variation counts beside that of the cost of pixels: there are two pairs of neighbours for each
-/// texel.
-const PAIRS: f32 = 2.0;
+/// What the logarithm of the mean variation counts at most beside that of the cost of pixels: there are two pairs of neighbours for
+/// each texel.
+const PAIRS: f64 = 2.0;
+/// The pixels at which it counts half of that: where many views see a surface, they contradict what albedo imitates, and noise of
+/// the curves makes it vary more where highlights are sharp.
+const HALF_NEEDED: f64 = 3000.0;
 /// Mean variation below which nothing counts as more even.
 const FLAT: f64 = 1e-4;
 
@@ -24,13 +27,14 @@ pub struct Variation {
 }
 
 impl Variation {
-    /// What speaks against each node's roughness: the logarithm of the mean, as it is not known beforehand how strong the pattern
-    /// is; 0 where there are no neighbours.
-    pub fn against(&self) -> [f32; NODES] {
-        match self.pairs {
-            0.0 => [0.0; NODES],
-            pairs => self.sum.map(|sum| PAIRS * (sum / pairs + FLAT).ln() as f32),
+    /// What speaks against each node's roughness of a segment that so many `pixels` see: the logarithm of the mean, as it is not known
+    /// beforehand how strong the pattern is; 0 where there are no neighbours.
+    pub fn against(&self, pixels: f64) -> [f32; NODES] {
+        if self.pairs == 0.0 {
+            return [0.0; NODES];
         }
+        let counts = PAIRS / (1.0 + pixels / HALF_NEEDED);
+        self.sum.map(|sum| (counts * (sum / self.pairs + FLAT).ln()) as f32)
     }
 }
 
