@@ -275,9 +275,9 @@ impl<'a> AlbedoProblem<'a> {
         })
     }
 
-    /// How much the albedo of each segment varies: the sum of ln(1 + |Δa|²/s²), the loss of the smoothness prior, over the pairs of
-    /// neighbours that both `count`; and how many there are.
-    pub fn variation(&self, albedo: &[Vec3A], count: &[bool]) -> Vec<[f64; 2]> {
+    /// How much the albedo of each segment varies: the mean of ln(1 + |Δa|²/s²), the loss of the smoothness prior, over the pairs of
+    /// neighbours that both `count`; 0 without any.
+    pub fn variation(&self, albedo: &[Vec3A], count: &[bool]) -> Vec<f64> {
         let counts = |t: u32| t != NONE && count[t as usize];
         let of_texel = |t: usize| {
             let beside = self.adjacency.beside[t];
@@ -293,7 +293,7 @@ impl<'a> AlbedoProblem<'a> {
                 sums[*s as usize].iter_mut().zip(texel).for_each(|(sum, of_texel)| *sum += f64::from(of_texel));
             }
         }
-        sums
+        sums.into_iter().map(|[sum, pairs]| if pairs > 0.0 { sum / pairs } else { 0.0 }).collect()
     }
 }
 

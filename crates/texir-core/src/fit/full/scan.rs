@@ -10,7 +10,7 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
-use super::variation::{self, Variation};
+use super::variation;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::RoughnessSettings;
@@ -27,8 +27,8 @@ pub struct Evidence {
     pub say: Vec<f32>,
     /// Per segment and node: slope b of its grazing term b (1−nv)⁵.
     pub slope: Vec<[f32; NODES]>,
-    /// Per segment: how much the albedo varies that goes with each node.
-    pub variation: Vec<Variation>,
+    /// Per segment and node: how much the albedo varies that goes with it ([`AlbedoProblem::variation`]).
+    pub variation: Vec<[f64; NODES]>,
 }
 
 impl Evidence {
@@ -69,7 +69,9 @@ impl Evidence {
     /// What the pixels of every segment say, and its albedo.
     pub fn by_segment(&self) -> Vec<Tally> {
         let mut tallies = self.by_group(&self.segment, self.slope.len());
-        tallies.iter_mut().zip(&self.variation).for_each(|(tally, variation)| tally.variation = *variation);
+        for (tally, variation) in tallies.iter_mut().zip(&self.variation) {
+            tally.albedo = variation::against(variation, tally.pixels);
+        }
         tallies
     }
 
@@ -118,8 +120,9 @@ pub struct Tally {
     pub cost: [f64; NODES],
     /// Σ of their say: how many pixels they are worth.
     pub pixels: f64,
-    /// What the albedo of a whole surface says. That of several is not added up: some are painted more wildly than others.
-    pub variation: Variation,
+    /// What the albedo of a whole segment says against each node besides. That of several is not added up: some are painted more
+    /// wildly than others.
+    pub albedo: [f32; NODES],
 }
 
 impl Tally {
@@ -167,8 +170,8 @@ impl Tally {
 
     /// All that speaks against each node's roughness: the misfit, and what albedo would have to imitate.
     pub fn against(&self) -> [f32; NODES] {
-        let (misfit, varies) = (self.misfit(), self.variation.against(self.pixels));
-        std::array::from_fn(|k| misfit[k] + varies[k])
+        let misfit = self.misfit();
+        std::array::from_fn(|k| misfit[k] + self.albedo[k])
     }
 
     /// The logarithm of the likelihood of each node's roughness by its pixels: (mean cost)^-n, as of residuals whose size is not known.
@@ -198,7 +201,7 @@ pub fn scan(
     let segment = pure_segments(problem, settings.min_cosine);
     let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
-    let mut variation = vec![Variation::default(); problem.segment.1];
+    let mut variation = vec![[0.0; NODES]; problem.segment.1];
     let told = variation::told(problem, &segment);
     for k in (0..NODES).rev() {
         progress.check()?;
@@ -214,10 +217,7 @@ pub fn scan(
         problem.solve(albedo, &target, &sigma, rounds, settings.iterations);
         let residual: Vec<Vec3A> =
             (0..problem.seen.len()).into_par_iter().map(|p| problem.residual(albedo, &target, p)).collect();
-        variation.iter_mut().zip(problem.variation(albedo, &told)).for_each(|(variation, [sum, pairs])| {
-            variation.sum[k] = sum;
-            variation.pairs = pairs;
-        });
+        variation.iter_mut().zip(problem.variation(albedo, &told)).for_each(|(variation, mean)| variation[k] = mean);
         let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
         slope
             .iter_mut()

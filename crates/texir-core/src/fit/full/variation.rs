@@ -17,25 +17,11 @@ const HALF_NEEDED: f64 = 3000.0;
 /// Mean variation below which nothing counts as more even.
 const FLAT: f64 = 1e-4;
 
-/// How much the albedo of a segment varies that goes with each node's roughness.
-#[derive(Clone, Copy, Default)]
-pub struct Variation {
-    /// Σ over neighbouring texels ([`AlbedoProblem::variation`]), at each node.
-    pub sum: [f64; NODES],
-    /// How many pairs of neighbours that is of.
-    pub pairs: f64,
-}
-
-impl Variation {
-    /// What speaks against each node's roughness of a segment that so many `pixels` see: the logarithm of the mean, as it is not known
-    /// beforehand how strong the pattern is; 0 where there are no neighbours.
-    pub fn against(&self, pixels: f64) -> [f32; NODES] {
-        if self.pairs == 0.0 {
-            return [0.0; NODES];
-        }
-        let counts = PAIRS / (1.0 + pixels / HALF_NEEDED);
-        self.sum.map(|sum| (counts * (sum / self.pairs + FLAT).ln()) as f32)
-    }
+/// What speaks against each node's roughness of a segment that so many `pixels` see, by the mean variation of the albedo that goes with
+/// each ([`AlbedoProblem::variation`]): its logarithm, as it is not known beforehand how strong the pattern is.
+pub fn against(variation: &[f64; NODES], pixels: f64) -> [f32; NODES] {
+    let counts = PAIRS / (1.0 + pixels / HALF_NEEDED);
+    variation.map(|mean| (counts * (mean + FLAT).ln()) as f32)
 }
 
 /// Which texels are seen by pixels that say something of their `segment`. Elsewhere, albedo has only been told at grazing angles or
