@@ -213,17 +213,25 @@ impl Default for KinSettings {
     }
 }
 
+/// Straight lines along the rows and columns of the atlas.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Straight {
+    /// Distance over which they are followed, metres.
+    pub reach: f32,
+    /// By how much they are darker or brighter than what is beside them, on average, in ln a.
+    pub contrast: f32,
+}
+
 /// Lines that divide a surface, as joints do boards and grout does tiles, and have a roughness of their own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JointSettings {
     /// How wide lines may be, metres; 0: joints are not looked for.
     pub width: f32,
-    /// Distance over which straight lines are followed, metres,
-    pub stretch: f32,
-    /// and by how much they are darker or brighter than what is beside them, on average, in ln a.
-    pub stretch_contrast: f32,
-    /// By how much lines of any course are, where a segment has no straight ones.
+    /// How straight lines are told: a segment has those of the first kind of which it has enough.
+    pub straight: Vec<Straight>,
+    /// By how much lines of any course are darker or brighter than what is around them, in ln a, where a segment has no straight ones.
     pub contrast: f32,
     /// How long those must be, metres, counted in texels that touch.
     pub length: f32,
@@ -242,8 +250,7 @@ impl Default for JointSettings {
     fn default() -> Self {
         Self {
             width: 0.03,
-            stretch: 0.4,
-            stretch_contrast: 0.1,
+            straight: vec![Straight { reach: 3.0, contrast: 0.08 }, Straight { reach: 0.4, contrast: 0.1 }],
             contrast: 0.15,
             length: 0.04,
             least_share: 0.02,
@@ -554,9 +561,9 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
-    fn checks(&self) -> [Check; 47] {
+    fn checks(&self) -> Vec<Check> {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
-        [
+        let mut checks = vec![
             ("full.alternations", self.alternations as f32, self.alternations <= 16, "at most 16"),
             ("full.block_angle", self.block_angle, (0.0..=10.0).contains(&self.block_angle), "in [0, 10]"),
             counts("full.lobe_samples", self.lobe_samples),
@@ -590,8 +597,6 @@ impl FullSettings {
             positive("full.roughness.local.gain", r.local.gain),
             not_negative("full.roughness.local.half_pixels", r.local.half_pixels),
             ("full.roughness.joints.width", r.joints.width, (0.0..=0.5).contains(&r.joints.width), "in [0, 0.5]"),
-            positive("full.roughness.joints.stretch", r.joints.stretch),
-            positive("full.roughness.joints.stretch_contrast", r.joints.stretch_contrast),
             positive("full.roughness.joints.contrast", r.joints.contrast),
             positive("full.roughness.joints.length", r.joints.length),
             share("full.roughness.joints.least_share", r.joints.least_share),
@@ -604,7 +609,14 @@ impl FullSettings {
             share("full.palette.least_share", p.least_share),
             not_negative("full.metallic.gain", self.metallic.gain),
             roughness("full.metallic.roughest", self.metallic.roughest),
-        ]
+        ];
+        checks.extend(r.joints.straight.iter().flat_map(|straight| {
+            [
+                positive("full.roughness.joints.straight.reach", straight.reach),
+                positive("full.roughness.joints.straight.contrast", straight.contrast),
+            ]
+        }));
+        checks
     }
 }
 

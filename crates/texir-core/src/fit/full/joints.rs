@@ -56,8 +56,9 @@ pub fn find(
     let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
     let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
     let paint = Paint { ln: &ln, is_seen, segment, adjacency, texel };
-    let kinds = [paint.straight(joints), paint.narrow(joints)];
-    let enough = kinds.each_ref().map(|lines| enough(lines, problem.segment, joints.least_share));
+    let straight = joints.straight.iter().map(|course| paint.straight(course, joints.width));
+    let kinds: Vec<Vec<Option<Line>>> = straight.chain([paint.narrow(joints)]).collect();
+    let enough: Vec<Vec<bool>> = kinds.iter().map(|lines| enough(lines, problem.segment, joints.least_share)).collect();
     let group = |t: usize| -> Option<usize> {
         let s = segment[t] as usize;
         let of_side = |side: Line| {

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::fit::adjacency::{Adjacency, NONE};
-use crate::fit::settings::JointSettings;
+use crate::fit::settings::{JointSettings, Straight};
 
 /// What a line is beside what is around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,25 +34,42 @@ const AXES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
 impl Paint<'_> {
     /// Which seen texels lie on straight lines along the rows or the columns of the atlas: where the logarithm of albedo is not what it
     /// is on both sides, on average over the line as far as it is seen, and more so than beside. A texel at distance d along it
-    /// counts e^(−d/[`stretch`](JointSettings::stretch)). None where texels are wider than lines may be: they show a line and what it
-    /// divides as one.
-    pub fn straight(&self, settings: &JointSettings) -> Vec<Option<Line>> {
-        if self.texel > settings.width {
+    /// counts e^(−d/`reach`). None where texels are wider than lines may be: they show a line and what it divides as one.
+    pub fn straight(&self, course: &Straight, width: f32) -> Vec<Option<Line>> {
+        if self.texel > width {
             return vec![None; self.ln.len()];
         }
-        let away = (settings.width / self.texel).round().max(2.0) as usize;
-        let keep = (-self.texel / settings.stretch).exp();
+        let away = (width / self.texel).round().max(2.0) as usize;
+        let thickest = (width / self.texel) as usize;
+        let keep = (-self.texel / course.reach).exp();
         let mut lines = vec![None; self.ln.len()];
         for (across, along) in [(AXES[0], AXES[1]), (AXES[1], AXES[0])] {
             let mean = self.followed(&self.contrast(across, away), along, keep);
-            lines.par_iter_mut().enumerate().filter(|(t, _)| self.is_seen[*t]).for_each(|(t, line)| {
-                let most = |side: &usize| self.step(t, *side).is_none_or(|n| mean[n].abs() <= mean[t].abs());
-                if mean[t].abs() > settings.stretch_contrast && across.iter().all(most) {
-                    *line = Some(if mean[t] < 0.0 { Line::Darker } else { Line::Brighter });
-                }
-            });
+            let is_line = |t: usize| self.is_seen[t] && mean[t].abs() > course.contrast;
+            let most =
+                |t: usize| across.iter().all(|side| self.step(t, *side).is_none_or(|n| mean[n].abs() <= mean[t].abs()));
+            for t in (0..lines.len()).filter(|t| is_line(*t) && most(*t)) {
+                let line = if mean[t] < 0.0 { Line::Darker } else { Line::Brighter };
+                self.thick(t, across, thickest, &mean).into_iter().for_each(|t| lines[t] = Some(line));
+            }
         }
         lines
+    }
+
+    /// The texels across a line from the one where its mean is largest, as long as it is hardly less, at most so many.
+    fn thick(&self, peak: usize, across: [usize; 2], most: usize, mean: &[f32]) -> Vec<usize> {
+        /// What is less by more is what a line blurs into.
+        const ALIKE: f32 = 0.7;
+        let mut thick = vec![peak];
+        let mut ends = [peak; 2];
+        while thick.len() < most {
+            let beside = [0, 1].map(|end| self.step(ends[end], across[end]).map(|t| (mean[t] / mean[peak], end, t)));
+            let next = beside.into_iter().flatten().filter(|next| next.0 > ALIKE).max_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((_, end, t)) = next.filter(|(_, _, t)| self.is_seen[*t]) else { break };
+            thick.push(t);
+            ends[end] = t;
+        }
+        thick
     }
 
     /// The texel at a side, of the same segment.
@@ -81,8 +98,8 @@ impl Paint<'_> {
 
     /// The mean of `contrast` before and behind each texel, weights falling by `keep` from one to the next; 0 where too little is seen.
     fn followed(&self, contrast: &[[f32; 2]], [before, behind]: [usize; 2], keep: f32) -> Vec<f32> {
-        /// The least share of all weights.
-        const SEEN: f32 = 0.3;
+        /// The sum of the weights that must be seen, metres.
+        const SEEN: f32 = 0.25;
         let add = |sums: &mut [[f32; 2]], t: usize, side: usize| {
             if let Some(next) = self.step(t, side) {
                 let lent = sums[next].map(|sum| keep * sum);
@@ -92,10 +109,9 @@ impl Paint<'_> {
         let (mut up_to, mut from) = (contrast.to_vec(), contrast.to_vec());
         (0..contrast.len()).for_each(|t| add(&mut up_to, t, before));
         (0..contrast.len()).rev().for_each(|t| add(&mut from, t, behind));
-        let all = (1.0 + keep) / (1.0 - keep);
         let mean = |t: usize| {
             let [sum, weight]: [f32; 2] = std::array::from_fn(|i| up_to[t][i] + from[t][i] - contrast[t][i]);
-            if weight > SEEN * all { sum / weight } else { 0.0 }
+            if weight * self.texel > SEEN { sum / weight } else { 0.0 }
         };
         (0..contrast.len()).into_par_iter().map(mean).collect()
     }
@@ -201,8 +217,10 @@ mod tests {
     #[test]
     fn straight_lines_are_followed_through_noise() {
         let settings = JointSettings::default();
-        let [recall, precision] = found(0.2, |paint| paint.straight(&settings));
-        assert!(recall > 0.8 && precision > 0.9, "{recall} {precision}");
+        for course in &settings.straight {
+            let [recall, precision] = found(0.2, |paint| paint.straight(course, settings.width));
+            assert!(recall > 0.8 && precision > 0.9, "{recall} {precision}");
+        }
         // By themselves, their texels do not stand out of such noise.
         let [_, precision] = found(0.2, |paint| paint.narrow(&settings));
         assert!(precision < 0.5, "{precision}");
@@ -211,10 +229,9 @@ mod tests {
     #[test]
     fn noise_makes_no_lines() {
         let settings = JointSettings::default();
-        let share = |find: &dyn Fn(&Paint<'_>) -> Vec<Option<Line>>| found(0.0, find)[0];
-        assert!(share(&|paint| paint.straight(&settings)) < 0.02);
-        // Negative control: of hardly any stretch.
-        let short = JointSettings { stretch: 0.005, ..settings };
-        assert!(share(&|paint| paint.straight(&short)) > 0.05);
+        let share = |course: &Straight| found(0.0, |paint| paint.straight(course, settings.width))[0];
+        settings.straight.iter().for_each(|course| assert!(share(course) < 0.02, "{course:?}: {}", share(course)));
+        // Negative control: hardly followed.
+        assert!(share(&Straight { reach: 0.005, contrast: 0.1 }) > 0.05);
     }
 }
