@@ -237,13 +237,13 @@ pub struct JointSettings {
     pub length: f32,
     /// Share of a segment's texels that its darker or its brighter lines must have.
     pub least_share: f32,
-    /// Pixels that must see them.
-    pub pixels: u32,
     /// Pull of the surface on its joints.
     pub pull: f32,
     /// By how much a roughness of their own must explain them better, where each half of the views judges by the one that the
-    /// other half asks for: the fall of the logarithm of the mean cost.
+    /// other half asks for: the fall of the logarithm of the mean cost,
     pub agreement: f32,
+    /// which counts half with so many pixels, and less with fewer.
+    pub half_pixels: f32,
 }
 
 impl Default for JointSettings {
@@ -254,9 +254,9 @@ impl Default for JointSettings {
             contrast: 0.15,
             length: 0.04,
             least_share: 0.02,
-            pixels: 200,
             pull: 0.03,
-            agreement: 0.03,
+            agreement: 0.02,
+            half_pixels: 2000.0,
         }
     }
 }
@@ -602,6 +602,7 @@ impl FullSettings {
             share("full.roughness.joints.least_share", r.joints.least_share),
             not_negative("full.roughness.joints.pull", r.joints.pull),
             positive("full.roughness.joints.agreement", r.joints.agreement),
+            not_negative("full.roughness.joints.half_pixels", r.joints.half_pixels),
             share("full.palette.strength", p.strength),
             positive("full.palette.bandwidth", p.bandwidth),
             ("full.palette.colours", p.colours as f32, (1..=256).contains(&p.colours), "1 to 256"),

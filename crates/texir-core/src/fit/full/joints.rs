@@ -1,7 +1,7 @@
 //! Joints: the lines between boards and tiles, whose albedo and finish are not those of what they divide.
 //!
 //! They are too thin for evidence of their own: few pixels see nothing else. But where they are is seen in albedo, as lines that
-//! stand out ([`super::lines`]): straight ones, or where a segment has none, any. All dark lines of a segment, and all bright
+//! stand out ([`super::lines`]): straight ones from wall to wall, or where a segment has none, shorter ones, or any. All dark lines of a segment, and all bright
 //! ones, are taken to have one roughness. It is scanned with everything else left as it is, albedo solved anew, and believed
 //! where the views agree that it explains their pixels better than the segment's.
 
@@ -161,7 +161,7 @@ fn scan(
 /// The roughness of a group's lines, if it is not that of their surface, `parent`.
 fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<f32> {
     let both = Tally::sum(said.iter().map(|half| &half.other));
-    if both.pixels < f64::from(settings.pixels) {
+    if both.pixels == 0.0 {
         return None;
     }
     let best = |said: &Tally| {
@@ -175,5 +175,6 @@ fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<f32
     };
     let [first, second] = said;
     let gain = both.ln_mean(first.same + second.same) - both.ln_mean(judged(first, second) + judged(second, first));
-    best(&both).filter(|_| gain > settings.agreement).map(node)
+    let pixels = both.pixels as f32;
+    best(&both).filter(|_| gain * pixels / (pixels + settings.half_pixels) > settings.agreement).map(node)
 }

@@ -1,5 +1,7 @@
 //! Lines that stand out in albedo, as joints of boards and tiles do.
 
+use std::iter::successors;
+
 use rayon::prelude::*;
 
 use crate::fit::adjacency::{Adjacency, NONE};
@@ -46,8 +48,11 @@ impl Paint<'_> {
         for (across, along) in [(AXES[0], AXES[1]), (AXES[1], AXES[0])] {
             let mean = self.followed(&self.contrast(across, away), along, keep);
             let is_line = |t: usize| self.is_seen[t] && mean[t].abs() > course.contrast;
-            let most =
-                |t: usize| across.iter().all(|side| self.step(t, *side).is_none_or(|n| mean[n].abs() <= mean[t].abs()));
+            // Beside a dark line everything seems bright.
+            let most = |t: usize| {
+                let beside = |side: usize| successors(self.step(t, side), move |t| self.step(*t, side)).take(away);
+                across.iter().all(|side| beside(*side).all(|n| mean[n].abs() <= mean[t].abs()))
+            };
             for t in (0..lines.len()).filter(|t| is_line(*t) && most(*t)) {
                 let line = if mean[t] < 0.0 { Line::Darker } else { Line::Brighter };
                 self.thick(t, across, thickest, &mean).into_iter().for_each(|t| lines[t] = Some(line));
@@ -59,7 +64,7 @@ impl Paint<'_> {
     /// The texels across a line from the one where its mean is largest, as long as it is hardly less, at most so many.
     fn thick(&self, peak: usize, across: [usize; 2], most: usize, mean: &[f32]) -> Vec<usize> {
         /// What is less by more is what a line blurs into.
-        const ALIKE: f32 = 0.7;
+        const ALIKE: f32 = 0.8;
         let mut thick = vec![peak];
         let mut ends = [peak; 2];
         while thick.len() < most {
@@ -98,8 +103,10 @@ impl Paint<'_> {
 
     /// The mean of `contrast` before and behind each texel, weights falling by `keep` from one to the next; 0 where too little is seen.
     fn followed(&self, contrast: &[[f32; 2]], [before, behind]: [usize; 2], keep: f32) -> Vec<f32> {
-        /// The sum of the weights that must be seen, metres.
-        const SEEN: f32 = 0.25;
+        /// The least share of all weights,
+        const SEEN: f32 = 0.3;
+        /// or so many metres.
+        const LONG: f32 = 0.25;
         let add = |sums: &mut [[f32; 2]], t: usize, side: usize| {
             if let Some(next) = self.step(t, side) {
                 let lent = sums[next].map(|sum| keep * sum);
@@ -109,9 +116,10 @@ impl Paint<'_> {
         let (mut up_to, mut from) = (contrast.to_vec(), contrast.to_vec());
         (0..contrast.len()).for_each(|t| add(&mut up_to, t, before));
         (0..contrast.len()).rev().for_each(|t| add(&mut from, t, behind));
+        let least = (SEEN * (1.0 + keep) / (1.0 - keep)).min(LONG / self.texel);
         let mean = |t: usize| {
             let [sum, weight]: [f32; 2] = std::array::from_fn(|i| up_to[t][i] + from[t][i] - contrast[t][i]);
-            if weight * self.texel > SEEN { sum / weight } else { 0.0 }
+            if weight > least { sum / weight } else { 0.0 }
         };
         (0..contrast.len()).into_par_iter().map(mean).collect()
     }
@@ -195,12 +203,12 @@ mod tests {
         t % EDGE % BOARD == 5
     }
 
-    /// A floor of boards, each of its own albedo, joints darker by `contrast` under noise of ±0.3, of which a rug hides a part. Of the
-    /// texels that are seen: the share of joints that is found, and the share of what is found that is one.
-    fn found(contrast: f32, find: impl Fn(&Paint<'_>) -> Vec<Option<Line>>) -> [f32; 2] {
+    /// A floor of boards, of which each is up to `uneven` brighter or darker, joints darker by `contrast` under noise of ±0.3, of which a
+    /// rug hides a part. Of the texels that are seen: the share of joints that is found, and the share of what is found that is one.
+    fn found(uneven: f32, contrast: f32, find: impl Fn(&Paint<'_>) -> Vec<Option<Line>>) -> [f32; 2] {
         let random = |a: usize, b: u32| hash2(a as u32, b) as f32 / u32::MAX as f32 - 0.5;
         let of_texel = |t: usize| {
-            let board = 0.4 * random((t % EDGE + BOARD - 5) / BOARD, 1);
+            let board = 2.0 * uneven * random((t % EDGE + BOARD - 5) / BOARD, 1);
             board + 0.6 * random(t, 2) - if is_joint(t) { contrast } else { 0.0 }
         };
         let ln: Vec<f32> = (0..EDGE * EDGE).map(of_texel).collect();
@@ -218,20 +226,23 @@ mod tests {
     fn straight_lines_are_followed_through_noise() {
         let settings = JointSettings::default();
         for course in &settings.straight {
-            let [recall, precision] = found(0.2, |paint| paint.straight(course, settings.width));
+            let [recall, precision] = found(0.2, 0.2, |paint| paint.straight(course, settings.width));
             assert!(recall > 0.8 && precision > 0.9, "{recall} {precision}");
         }
         // By themselves, their texels do not stand out of such noise.
-        let [_, precision] = found(0.2, |paint| paint.narrow(&settings));
+        let [_, precision] = found(0.2, 0.2, |paint| paint.narrow(&settings));
         assert!(precision < 0.5, "{precision}");
     }
 
     #[test]
     fn noise_makes_no_lines() {
         let settings = JointSettings::default();
-        let share = |course: &Straight| found(0.0, |paint| paint.straight(course, settings.width))[0];
-        settings.straight.iter().for_each(|course| assert!(share(course) < 0.02, "{course:?}: {}", share(course)));
+        let share =
+            |uneven: f32, course: &Straight| found(uneven, 0.0, |paint| paint.straight(course, settings.width))[0];
+        settings.straight.iter().for_each(|course| assert!(share(0.0, course) < 0.02, "{course:?}"));
+        // Nor do, for shorter ones, edges between boards of uneven paint.
+        assert!(share(0.2, &settings.straight[1]) < 0.02);
         // Negative control: hardly followed.
-        assert!(share(&Straight { reach: 0.005, contrast: 0.1 }) > 0.05);
+        assert!(share(0.0, &Straight { reach: 0.005, contrast: 0.1 }) > 0.05);
     }
 }

@@ -272,7 +272,7 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
     let found = |is_joint: fn(usize) -> bool, length: f32, paint: f32, finish: f32| {
         let roughness = RoughnessSettings {
-            joints: JointSettings { width: 0.25, length, pixels: 50, ..JointSettings::default() },
+            joints: JointSettings { width: 0.25, length, half_pixels: 50.0, ..JointSettings::default() },
             ..RoughnessSettings::default()
         };
         let material = |t: usize| match is_joint(t) {
