@@ -239,8 +239,8 @@ pub struct JointSettings {
     pub least_share: f32,
     /// Pull of the surface on its joints.
     pub pull: f32,
-    /// By how much a roughness of their own must explain them better, where each half of the views judges by the one that the
-    /// other half asks for: the fall of the logarithm of the mean cost,
+    /// By how much a roughness of their own must explain them better to be believed half, where each half of the views judges by the
+    /// one that the other half asks for: the fall of the logarithm of the mean cost,
     pub agreement: f32,
     /// which counts half with so many pixels, and less with fewer.
     pub half_pixels: f32,

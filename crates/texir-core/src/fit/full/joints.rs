@@ -3,13 +3,14 @@
 //! They are too thin for evidence of their own: few pixels see nothing else. But where they are is seen in albedo, as lines that
 //! stand out ([`super::lines`]): straight ones from wall to wall, or where a segment has none, shorter ones, or any. All dark lines of a segment, and all bright
 //! ones, are taken to have one roughness. It is scanned with everything else left as it is, albedo solved anew, and believed
-//! where the views agree that it explains their pixels better than the segment's.
+//! as far as the views agree that it explains their pixels better than the segment's.
 
 use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::lines::{Line, Paint};
+use super::local::half_at;
 use super::scan::{Evidence, Tally, cost};
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
@@ -27,6 +28,22 @@ fn tried() -> impl Iterator<Item = usize> {
     (0..NODES).rev().step_by(2)
 }
 
+/// What lines are beside their surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Their roughness,
+    roughness: f32,
+    /// and how far it is believed, in (0, 1].
+    believed: f32,
+}
+
+impl Joint {
+    /// The roughness of a texel on a joint whose surface has this one.
+    pub fn on(&self, surface: f32) -> f32 {
+        surface * (self.roughness / surface).powf(self.believed)
+    }
+}
+
 /// What the pixels that see a group's lines say, by their share of them.
 #[derive(Clone, Copy, Default)]
 struct Said {
@@ -36,7 +53,7 @@ struct Said {
     same: f64,
 }
 
-/// Roughness of the texels that lie on joints; `None` elsewhere, and on those that are like their surface. `roughness` is that of
+/// The joints that texels lie on; `None` elsewhere, and on those that are like their surface. `roughness` is that of
 /// the texels without joints, `half` the half of the views that each pixel belongs to ([`Evidence::halves`]), `texel` the edge
 /// of a typical texel, metres.
 pub fn find(
@@ -47,7 +64,7 @@ pub fn find(
     texel: f32,
     settings: &RoughnessSettings,
     progress: &dyn Progress,
-) -> Result<Vec<Option<f32>>> {
+) -> Result<Vec<Option<Joint>>> {
     let joints = &settings.joints;
     if joints.width == 0.0 {
         return Ok(vec![None; roughness.len()]);
@@ -71,11 +88,9 @@ pub fn find(
     let group: Vec<Option<usize>> = (0..segment.len()).into_par_iter().map(group).collect();
     let parent = means(roughness, problem.segment);
     let said = scan(problem, evidence, half, (albedo, roughness), &group, settings, progress)?;
-    let chosen: Vec<Option<f32>> = said
-        .iter()
-        .enumerate()
-        .map(|(g, said)| decide(said, parent[g / 2], joints).map(|r| r.min(settings.cap)))
-        .collect();
+    let capped = |joint: Joint| Joint { roughness: joint.roughness.min(settings.cap), ..joint };
+    let chosen: Vec<Option<Joint>> =
+        said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], joints).map(capped)).collect();
     Ok(group.into_iter().map(|g| chosen[g?]).collect())
 }
 
@@ -158,8 +173,8 @@ fn scan(
     Ok(said)
 }
 
-/// The roughness of a group's lines, if it is not that of their surface, `parent`.
-fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<f32> {
+/// What a group's lines are, if not like their surface, whose roughness is `parent`.
+fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joint> {
     let both = Tally::sum(said.iter().map(|half| &half.other));
     if both.pixels == 0.0 {
         return None;
@@ -176,5 +191,6 @@ fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<f32
     let [first, second] = said;
     let gain = both.ln_mean(first.same + second.same) - both.ln_mean(judged(first, second) + judged(second, first));
     let pixels = both.pixels as f32;
-    best(&both).filter(|_| gain * pixels / (pixels + settings.half_pixels) > settings.agreement).map(node)
+    let believed = half_at(settings.agreement, gain * pixels / (pixels + settings.half_pixels));
+    best(&both).filter(|_| believed > 0.0).map(|k| Joint { roughness: node(k), believed })
 }

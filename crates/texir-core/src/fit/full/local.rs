@@ -113,7 +113,7 @@ fn two_finishes(blocks: &[(Place, Halves)], whole: &[f32], settings: &LocalSetti
 }
 
 /// How far something is believed that is believed half at `half`: not at all at half of that, and fully at half more.
-fn half_at(half: f32, value: f32) -> f32 {
+pub(super) fn half_at(half: f32, value: f32) -> f32 {
     (value / half - 0.5).clamp(0.0, 1.0)
 }
 

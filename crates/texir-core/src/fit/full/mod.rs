@@ -146,8 +146,9 @@ fn recover(
 
     // and one for its joints, where albedo shows them.
     let joints = joints::find(&problem, &evidence, &half, (&albedo, &roughness), texel, &settings.roughness, progress)?;
-    let with_joints =
-        |roughness: &[f32]| -> Vec<f32> { joints.iter().zip(roughness).map(|(j, r)| j.unwrap_or(*r)).collect() };
+    let with_joints = |roughness: &[f32]| -> Vec<f32> {
+        joints.iter().zip(roughness).map(|(joint, r)| joint.map_or(*r, |joint| joint.on(*r))).collect()
+    };
     problem.solve_at(&mut albedo, &with_joints(&roughness), settings.albedo.rounds);
 
     // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by blurring.

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Parent, settle};
-use super::joints;
+use super::joints::{self, Joint};
 use super::observations::Observations;
 use super::scan::{Evidence, cost, minimum, scan};
 use crate::atlas::Atlas;
@@ -298,7 +298,7 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let texel = 2.0 / FLOOR as f32;
         joints::find(&problem, &evidence, &half, (&albedo, &surface), texel, &roughness, &Silent).unwrap()
     };
-    let on = |joints: &[Option<f32>]| -> Vec<f32> { joints.iter().flatten().copied().collect() };
+    let on = |joints: &[Option<Joint>]| -> Vec<f32> { joints.iter().flatten().map(|joint| joint.on(0.15)).collect() };
     // Texels are 0.25 m wide. The diagonal's touch at their corners.
     let column = |t: usize| t % (2 * FLOOR) == 3;
     let diagonal = |t: usize| t % (2 * FLOOR) == t / (2 * FLOOR);
