@@ -256,7 +256,7 @@ impl Default for JointSettings {
             least_share: 0.02,
             pull: 0.03,
             agreement: 0.02,
-            half_pixels: 2000.0,
+            half_pixels: 1000.0,
         }
     }
 }
