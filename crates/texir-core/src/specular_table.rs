@@ -86,26 +86,86 @@ impl Curve {
 
     /// Radiance at roughness `r` and its derivative ∂/∂r, by Catmull–Rom interpolation in ln r; constant outside [`RANGE`].
     pub fn at(&self, r: f32) -> ([f32; 3], [f32; 3]) {
-        let inside = r.clamp(RANGE[0], RANGE[1]);
-        let x = (inside / RANGE[0]).ln() / node_step();
-        let k = (x as usize).min(NODES - 2);
-        let t = x - k as f32;
-        let (left, right) = (self.at_node(k), self.at_node(k + 1));
-        // Beyond the ends the curve goes on straight.
-        let beyond = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|c| 2.0 * a[c] - b[c]);
-        let before = if k > 0 { self.at_node(k - 1) } else { beyond(left, right) };
-        let after = if k + 2 < NODES { self.at_node(k + 2) } else { beyond(right, left) };
-        let p = [before, left, right, after];
-        let slope = if r == inside { 1.0 / (node_step() * r) } else { 0.0 };
-        let cubic = |c: usize| {
-            let [p0, p1, p2, p3] = p.map(|p| p[c]);
-            let (m1, m2) = (0.5 * (p2 - p0), 0.5 * (p3 - p1));
-            let (a, b) = (2.0 * (p1 - p2) + m1 + m2, 3.0 * (p2 - p1) - 2.0 * m1 - m2);
-            (((a * t + b) * t + m1) * t + p1, ((3.0 * a * t + 2.0 * b) * t + m1) * slope)
-        };
-        let [x, y, z] = [0, 1, 2].map(cubic);
-        ([x.0, y.0, z.0], [x.1, y.1, z.1])
+        interpolated(|k| self.at_node(k), r)
     }
+}
+
+/// A curve as a fit keeps one for every pixel or few: 9 bits for each channel under an exponent that they share (RGB9E5 of Khronos'
+/// `EXT_texture_shared_exponent`). A channel is off by two thousandths of the largest at most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PackedCurve([u32; NODES]);
+
+impl PackedCurve {
+    /// Bits of a channel,
+    const BITS: i32 = 9;
+    /// and what is added to exponents as they are stored.
+    const BIAS: i32 = 15;
+    /// The largest radiance that can be held.
+    const MOST: f32 = 65408.0;
+
+    /// From radiance per node; what is negative is taken for 0, and what cannot be held is cut.
+    pub fn new(nodes: [[f32; 3]; NODES]) -> Self {
+        Self(nodes.map(Self::pack))
+    }
+
+    fn pack(radiance: [f32; 3]) -> u32 {
+        let held = radiance.map(|c| c.max(0.0).min(Self::MOST));
+        let most = held.into_iter().fold(0.0, f32::max);
+        let steps = |exponent: i32| move |c: f32| (c / Self::step(exponent)).round() as u32;
+        // What the bits of a float say of it: floor(log2 x).
+        let log2 = (most.to_bits() >> 23) as i32 - 127;
+        let exponent = log2.max(-Self::BIAS - 1) + 1 + Self::BIAS;
+        // The largest may be rounded up to a power of two.
+        let exponent = exponent + (steps(exponent)(most) >> Self::BITS) as i32;
+        let [r, g, b] = held.map(steps(exponent));
+        r | g << 9 | b << 18 | (exponent as u32) << 27
+    }
+
+    /// What one step of a channel is worth under a stored exponent, 2^(exponent − bias − bits).
+    fn step(exponent: i32) -> f32 {
+        f32::from_bits(((exponent - Self::BIAS - Self::BITS + 127) as u32) << 23)
+    }
+
+    /// Radiance at a node.
+    pub fn at_node(&self, k: usize) -> [f32; 3] {
+        let node = self.0[k];
+        let step = Self::step((node >> 27) as i32);
+        [0, 9, 18].map(|shift| (node >> shift & 511) as f32 * step)
+    }
+
+    /// As [`Curve::at`].
+    pub fn at(&self, r: f32) -> ([f32; 3], [f32; 3]) {
+        interpolated(|k| self.at_node(k), r)
+    }
+}
+
+impl From<&Curve> for PackedCurve {
+    fn from(curve: &Curve) -> Self {
+        Self::new(std::array::from_fn(|k| curve.at_node(k)))
+    }
+}
+
+/// The curve through the nodes at roughness `r`, and its derivative.
+fn interpolated(at_node: impl Fn(usize) -> [f32; 3], r: f32) -> ([f32; 3], [f32; 3]) {
+    let inside = r.clamp(RANGE[0], RANGE[1]);
+    let x = (inside / RANGE[0]).ln() / node_step();
+    let k = (x as usize).min(NODES - 2);
+    let t = x - k as f32;
+    let (left, right) = (at_node(k), at_node(k + 1));
+    // Beyond the ends the curve goes on straight.
+    let beyond = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|c| 2.0 * a[c] - b[c]);
+    let before = if k > 0 { at_node(k - 1) } else { beyond(left, right) };
+    let after = if k + 2 < NODES { at_node(k + 2) } else { beyond(right, left) };
+    let p = [before, left, right, after];
+    let slope = if r == inside { 1.0 / (node_step() * r) } else { 0.0 };
+    let cubic = |c: usize| {
+        let [p0, p1, p2, p3] = p.map(|p| p[c]);
+        let (m1, m2) = (0.5 * (p2 - p0), 0.5 * (p3 - p1));
+        let (a, b) = (2.0 * (p1 - p2) + m1 + m2, 3.0 * (p2 - p1) - 2.0 * m1 - m2);
+        (((a * t + b) * t + m1) * t + p1, ((3.0 * a * t + 2.0 * b) * t + m1) * slope)
+    };
+    let [x, y, z] = [0, 1, 2].map(cubic);
+    ([x.0, y.0, z.0], [x.1, y.1, z.1])
 }
 
 #[cfg(test)]
@@ -129,6 +189,21 @@ mod tests {
                 assert!((value[0] - truth(r)).abs() < 0.01 * peak, "nh {nh}, r {r}: {} against {}", value[0], truth(r));
             }
         }
+    }
+
+    #[test]
+    fn packing_is_off_by_half_a_step_of_the_largest_channel_at_most() {
+        for most in [1e-4f32, 0.0123, 0.5, 0.999_999, 1.0, 3.3, 1023.9, 65407.0] {
+            let radiance = [most, 0.37 * most, 1e-3 * most];
+            let held = PackedCurve::new([radiance; NODES]).at_node(5);
+            let off = |i: usize| (held[i] - radiance[i]).abs();
+            assert!((0..3).all(|i| off(i) < most / 511.0), "{radiance:?} {held:?}");
+        }
+        let held = |c: f32| PackedCurve::new([[c; 3]; NODES]).at_node(0)[0];
+        let most = PackedCurve::MOST;
+        assert_eq!([0.0, -1.0, f32::NAN, f32::INFINITY, 1e30].map(held), [0.0, 0.0, 0.0, most, most]);
+        // What the least exponent resolves.
+        assert_eq!([1e-9, 6e-8].map(held), [0.0, f32::exp2(-24.0)]);
     }
 
     #[test]

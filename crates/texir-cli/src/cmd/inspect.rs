@@ -397,16 +397,13 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
     let texels = (atlas.size * atlas.size) as u64;
     let training = || capture.views(Split::Train).map(|v| &v.camera);
     let pixels: u64 = training().map(|c| c.pixels() as u64).sum();
-    let blocks: u64 = training().map(|c| (c.pixels() / settings.full.block_edge(c).pow(2)) as u64).sum();
     let fit_rays = match settings.mode {
         // Stage I traces nothing, stage II only the few pixels that could show a highlight.
         Mode::Paper => {
             let epochs = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
             pixels * u64::from(settings.specular_samples) * epochs
         }
-        Mode::Full => {
-            blocks * settings.full.rounds().iter().map(|round| u64::from(round.sampling(0, 0).rays())).sum::<u64>()
-        }
+        Mode::Full => training().map(|camera| settings.full.rays(camera)).sum(),
     };
     let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, &capture.mesh);
     Estimate {

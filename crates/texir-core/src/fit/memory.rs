@@ -24,9 +24,14 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
         // Four channels of parameters, gradients, two moments, lighting and irradiance, with mips; footprints of about 12
         // taps per sub-pixel, both ways.
         Mode::Paper => (150, (settings.footprint_samples * settings.footprint_samples) as u64 * 192),
-        // Points, neighbours, lighting, and votes, or later albedo with solver vectors; a footprint of 8 taps, a share of a
-        // curve, costs by roughness under two models, solver vectors. Where metals are sought, a share of another curve.
-        Mode::Full => (200, if settings.full.metallic.enabled { 420 } else { 350 }),
+        // Points, neighbours, lighting, and votes, or later albedo with solver vectors; a footprint of 8 taps, a curve, costs by
+        // roughness, solver vectors. A first round has costs under two models, and a quarter of the curves; without one, the last
+        // has both. Where metals are sought, other curves and costs are added.
+        Mode::Full => {
+            let two_models = if settings.full.alternations == 0 { 50 } else { 0 };
+            let metals = if settings.full.metallic.enabled { 170 } else { 0 };
+            (200, 350 + two_models + metals)
+        }
     }
 }
 

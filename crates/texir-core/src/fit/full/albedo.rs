@@ -19,7 +19,7 @@ use crate::brdf::DIELECTRIC_F0;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
-use crate::specular_table::{Curve, node};
+use crate::specular_table::{PackedCurve, node};
 use crate::texture::Tap;
 
 /// Items per task of a parallel loop,
@@ -164,7 +164,7 @@ impl<'a> AlbedoProblem<'a> {
     }
 
     /// A pixel's curve at the roughness of what it sees.
-    fn along(&self, roughness: &Roughness<'_>, curve: &Curve, pixel: usize) -> Vec3A {
+    fn along(&self, roughness: &Roughness<'_>, curve: &PackedCurve, pixel: usize) -> Vec3A {
         match roughness {
             Roughness::Node(k) => curve.at_node(*k).into(),
             Roughness::Texels(r) => {

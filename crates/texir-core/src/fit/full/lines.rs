@@ -252,7 +252,9 @@ mod tests {
             |uneven: f32, course: &Straight| found(uneven, 0.0, |paint| paint.straight(course, settings.width))[0];
         for course in &settings.straight {
             // Nor do edges between boards of uneven paint.
-            [0.0, 0.2].map(|uneven| assert!(share(uneven, course) < 0.02, "{course:?} {uneven}"));
+            for uneven in [0.0, 0.2] {
+                assert!(share(uneven, course) < 0.02, "{course:?} {uneven}");
+            }
         }
         // Negative control: hardly followed.
         assert!(share(0.0, &Straight { reach: 0.005, contrast: 0.1 }) > 0.05);

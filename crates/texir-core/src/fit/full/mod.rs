@@ -78,7 +78,7 @@ pub fn fit(
         ));
     }
     let again = Named { progress, of: "again" };
-    let rounds = settings.rounds();
+    let mut rounds = settings.rounds();
     let mut round = 0;
     loop {
         let (settings, progress) = (&rounds[round], if round == 0 { progress } else { &again });
@@ -88,6 +88,8 @@ pub fn fit(
         let materials = recover(ground, &irradiance, &labels, &seen, settings, progress)?;
         let sent = diffused::radiance(atlas, ground.tbl, &materials, emitters, &seen.is_seen);
         drop(seen);
+        // One scan for each diffuse model is enough.
+        rounds.iter_mut().for_each(|settings| settings.diffuse = materials.diffuse.into());
         round += 1;
         let Some(gather) = ground.gathers.get(round) else {
             return Ok((materials, (round > 1).then_some(sent)));

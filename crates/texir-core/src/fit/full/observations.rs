@@ -20,7 +20,7 @@ use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
 use crate::scene::Scene;
-use crate::specular_table::{Curve, STRATA};
+use crate::specular_table::{Curve, PackedCurve, STRATA};
 use crate::surface::Hit;
 use crate::texture::{Rows, Tap, merge};
 
@@ -40,9 +40,9 @@ pub struct Observations {
     /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
     pub area: Vec<f32>,
     /// Specular radiance of a dielectric by roughness, of blocks of pixels;
-    pub curves: Vec<Curve>,
+    pub curves: Vec<PackedCurve>,
     /// likewise at F0 = 1, where metals are sought;
-    pub white_curves: Vec<Curve>,
+    pub white_curves: Vec<PackedCurve>,
     /// which of them each pixel is part of.
     pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
@@ -74,12 +74,12 @@ impl Observations {
     }
 
     /// Specular radiance of pixel `p` by roughness, if it shows a dielectric.
-    pub fn curve(&self, p: usize) -> &Curve {
+    pub fn curve(&self, p: usize) -> &PackedCurve {
         &self.curves[self.block[p] as usize]
     }
 
     /// Specular radiance of pixel `p` by roughness, if it shows a white metal. Metals must be sought.
-    pub fn white_curve(&self, p: usize) -> &Curve {
+    pub fn white_curve(&self, p: usize) -> &PackedCurve {
         &self.white_curves[self.block[p] as usize]
     }
 }
@@ -102,10 +102,11 @@ impl Observer<'_> {
     /// Observes the views. The backend holds the full TBL and its lights.
     pub fn observe(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Observations> {
         let tables = 1 + u64::from(self.settings.metallic.enabled);
-        let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>()
-            * tables
-            * u64::from(self.settings.sampling(self.seed, 0).rays());
-        progress.start("light samples", rays, "rays");
+        let rays_of = |view: &View| {
+            let rays = self.settings.sampling(&view.camera, self.seed, 0).rays();
+            tables * view.camera.pixels() as u64 * u64::from(rays)
+        };
+        progress.start("light samples", views.iter().map(rays_of).sum(), "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
         for view in views {
@@ -160,7 +161,7 @@ impl Observer<'_> {
         };
         let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
         let number = all.views.len() as u32;
-        let sampling = self.settings.sampling(self.seed, number);
+        let sampling = self.settings.sampling(&view.camera, self.seed, number);
         let first = all.curves.len() as u32;
         let mut tables = |step: &str, f0: f32| {
             let mut skipped = view.camera.pixels();

@@ -21,7 +21,7 @@ use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::raster::Rgb;
 use crate::scene::Scene;
-use crate::specular_table::{NODES, STRATA, TableSampling};
+use crate::specular_table::{NODES, PackedCurve, STRATA, TableSampling};
 use crate::surface::SurfacePoint;
 use crate::texture::{Rows, Tap};
 
@@ -112,8 +112,11 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let shaded = backend.shade(&points, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
     seen.radiance = shaded.iter().map(|s| Vec3A::from(s.radiance)).collect();
     let sampling = TableSampling { lobe: 64, cosine: 64, light: 256, masking: Masking::Schlick, seed: 5 };
-    seen.curves = backend.specular_tables(&strata, 0.04, sampling, &Silent).unwrap();
-    seen.white_curves = backend.specular_tables(&strata, 1.0, sampling, &Silent).unwrap();
+    let mut tables = |f0: f32| {
+        let curves = backend.specular_tables(&strata, f0, sampling, &Silent).unwrap();
+        curves.iter().map(PackedCurve::from).collect()
+    };
+    (seen.curves, seen.white_curves) = (tables(0.04), tables(1.0));
     seen.block = (0..strata.len() as u32).collect();
     seen.index(atlas.texels.len());
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
