@@ -79,7 +79,7 @@ pub struct FullSettings {
     pub alternations: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
-    /// Light samples of each of the four points of a block 1.4° wide or more, narrower ones drawing fewer: per lobe of five,
+    /// Light samples of each of a block's four points: per lobe of five,
     pub lobe_samples: u32,
     /// cosine-distributed,
     pub cosine_samples: u32,
@@ -556,28 +556,17 @@ impl FullSettings {
         (self.block_angle.to_radians() / camera.pixel_angle()).round().max(1.0) as usize
     }
 
-    /// How the light samples of view `view` are drawn in a run of seed `seed`: fewer for narrow blocks, of which more lend each other
-    /// what they find.
-    pub fn sampling(&self, camera: &Camera, seed: u32, view: u32) -> TableSampling {
-        /// Degrees of a block that draws all samples.
-        const WIDE: f32 = 1.4;
-        let width = self.block_edge(camera) as f32 * camera.pixel_angle();
-        let share = (width / WIDE.to_radians()).min(1.0);
-        let some = |samples: u32| (share * samples as f32).round() as u32;
-        TableSampling {
-            lobe: some(self.lobe_samples).max(1),
-            cosine: some(self.cosine_samples),
-            light: some(self.light_samples),
-            masking: self.masking,
-            seed: hash2(seed, view),
-        }
+    /// How the light samples of view `view` are drawn in a run of seed `seed`.
+    pub fn sampling(&self, seed: u32, view: u32) -> TableSampling {
+        let Self { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, masking, .. } = *self;
+        TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
     /// Rays that the light samples of a view take in all rounds.
     pub fn rays(&self, camera: &Camera) -> u64 {
         let of_round = |round: Self| {
             let blocks = camera.pixels() / round.block_edge(camera).pow(2);
-            blocks as u64 * u64::from(round.sampling(camera, 0, 0).rays())
+            blocks as u64 * u64::from(round.sampling(0, 0).rays())
         };
         self.rounds().into_iter().map(of_round).sum()
     }
@@ -755,7 +744,7 @@ mod tests {
         let settings = FullSettings::default();
         let rounds = settings.rounds();
         assert!(rounds.len() == 2 && rounds[1] == settings);
-        // Per pixel of panoramas whose pixels are as wide as a block that draws all samples, half as wide, a quarter.
+        // Of panoramas whose pixels are 1.4°, 0.7° and 0.35° wide.
         let per_pixel = |width: usize| {
             let camera = Camera {
                 projection: Projection::Equirectangular,
@@ -766,10 +755,10 @@ mod tests {
             assert!(rounds[0].block_edge(&camera) >= rounds[1].block_edge(&camera));
             settings.rays(&camera) as f32 / camera.pixels() as f32
         };
-        // The last round's, 176 or 88 per block, and the first's, 60.
+        // The last round's, 176 per block of 0.7° at least, and the first's, 60 per block of twice that.
         assert_eq!(per_pixel(256), 176.0 + 60.0);
-        assert_eq!(per_pixel(512), 88.0 + 60.0 / 4.0);
-        assert_eq!(per_pixel(1024), 88.0 / 4.0 + 60.0 / 16.0);
+        assert_eq!(per_pixel(512), 176.0 + 60.0 / 4.0);
+        assert_eq!(per_pixel(1024), 176.0 / 4.0 + 60.0 / 16.0);
     }
 
     /// The places of all numbers of a table, as paths of keys and indices.

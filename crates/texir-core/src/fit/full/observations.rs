@@ -102,11 +102,10 @@ impl Observer<'_> {
     /// Observes the views. The backend holds the full TBL and its lights.
     pub fn observe(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Observations> {
         let tables = 1 + u64::from(self.settings.metallic.enabled);
-        let rays_of = |view: &View| {
-            let rays = self.settings.sampling(&view.camera, self.seed, 0).rays();
-            tables * view.camera.pixels() as u64 * u64::from(rays)
-        };
-        progress.start("light samples", views.iter().map(rays_of).sum(), "rays");
+        let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>()
+            * tables
+            * u64::from(self.settings.sampling(self.seed, 0).rays());
+        progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
         for view in views {
@@ -161,7 +160,7 @@ impl Observer<'_> {
         };
         let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
         let number = all.views.len() as u32;
-        let sampling = self.settings.sampling(&view.camera, self.seed, number);
+        let sampling = self.settings.sampling(self.seed, number);
         let first = all.curves.len() as u32;
         let mut tables = |step: &str, f0: f32| {
             let mut skipped = view.camera.pixels();

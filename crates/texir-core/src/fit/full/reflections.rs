@@ -16,8 +16,8 @@ use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{Curve, NODES, PackedCurve, node};
 
-/// How far to either side blocks are asked, degrees.
-const REACH: f32 = 4.2;
+/// Blocks to either side that are asked.
+const REACH: usize = 3;
 /// The widest kernel's σ, as a share of what is asked: what is beyond counts little.
 const WIDEST: f32 = 0.6;
 /// Weights below this count for nothing.
@@ -69,14 +69,13 @@ pub fn share(curves: &[Curve], blocks: &Blocks, mirrors: &[Mirror], angle: f32, 
     if share == 0.0 {
         return curves.iter().map(PackedCurve::from).collect();
     }
-    let reach = (REACH.to_radians() / angle).round().max(1.0);
-    let widest = WIDEST * reach * angle;
+    let widest = WIDEST * REACH as f32 * angle;
     let sigma: [f32; NODES] = std::array::from_fn(|k| (share * node(k) * node(k)).min(widest));
     let radiance: Vec<[[f32; 3]; NODES]> =
         curves.par_iter().map(|curve| std::array::from_fn(|k| curve.at_node(k))).collect();
     let mean = |block: usize| {
         let mut sums = radiance[block].map(|[r, g, b]| [r, g, b, 1.0]);
-        for other in blocks.around(block, reach as usize).filter(|&other| other != block) {
+        for other in blocks.around(block, REACH).filter(|&other| other != block) {
             if !mirrors[block].patch.like(&mirrors[other].patch) {
                 continue;
             }
