@@ -109,7 +109,7 @@ impl PackedCurve {
     }
 
     fn pack(radiance: [f32; 3]) -> u32 {
-        let held = radiance.map(|c| c.max(0.0).min(Self::MOST));
+        let held = radiance.map(|c| c.clamp(0.0, Self::MOST));
         let most = held.into_iter().fold(0.0, f32::max);
         let steps = |exponent: i32| move |c: f32| (c / Self::step(exponent)).round() as u32;
         // What the bits of a float say of it: floor(log2 x).
