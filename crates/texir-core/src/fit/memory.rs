@@ -30,7 +30,7 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
         Mode::Full => {
             let two_models = if settings.full.alternations == 0 { 50 } else { 0 };
             let metals = if settings.full.metallic.enabled { 170 } else { 0 };
-            (200, 430 + two_models + metals)
+            (200, 350 + two_models + metals)
         }
     }
 }

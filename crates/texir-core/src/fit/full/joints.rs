@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::albedo::{AlbedoProblem, Roughness};
 use super::lines::{Line, Paint};
 use super::local::half_at;
-use super::scan::{Evidence, Tally, cost};
+use super::scan::{Tally, cost};
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::{JointSettings, RoughnessSettings};
@@ -44,6 +44,17 @@ impl Joint {
     }
 }
 
+/// Who the pixels are that judge joints. Lists are per pixel.
+#[derive(Clone, Copy)]
+pub struct Judges<'a> {
+    /// Segment of each and
+    pub segment: &'a [u32],
+    /// how much of a say it has, as in [`Evidence`](super::scan::Evidence);
+    pub say: &'a [f32],
+    /// half of the views ([`Evidence::halves`](super::scan::Evidence::halves)).
+    pub half: &'a [u8],
+}
+
 /// What the pixels that see a group's lines say, by their share of them.
 #[derive(Clone, Copy, Default)]
 struct Said {
@@ -54,12 +65,10 @@ struct Said {
 }
 
 /// The joints that texels lie on; `None` elsewhere, and on those that are like their surface. `roughness` is that of
-/// the texels without joints, `half` the half of the views that each pixel belongs to ([`Evidence::halves`]), `texel` the edge
-/// of a typical texel, metres.
+/// the texels without joints, `texel` the edge of a typical texel, metres.
 pub fn find(
     problem: &AlbedoProblem<'_>,
-    evidence: &Evidence,
-    half: &[u8],
+    judges: Judges<'_>,
     (albedo, roughness): (&[Vec3A], &[f32]),
     texel: f32,
     settings: &RoughnessSettings,
@@ -87,7 +96,7 @@ pub fn find(
     };
     let group: Vec<Option<usize>> = (0..segment.len()).into_par_iter().map(group).collect();
     let parent = means(roughness, problem.segment);
-    let said = scan(problem, evidence, half, (albedo, roughness), &group, settings, progress)?;
+    let said = scan(problem, judges, (albedo, roughness), &group, settings, progress)?;
     let capped = |joint: Joint| Joint { roughness: joint.roughness.min(settings.cap), ..joint };
     let chosen: Vec<Option<Joint>> =
         said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], joints).map(capped)).collect();
@@ -120,8 +129,7 @@ fn means(roughness: &[f32], (segment, segments): (&[u32], usize)) -> Vec<f32> {
 /// What the pixels of each half of the views say about every group.
 fn scan(
     problem: &AlbedoProblem<'_>,
-    evidence: &Evidence,
-    half: &[u8],
+    judges: Judges<'_>,
     (albedo, roughness): (&[Vec3A], &[f32]),
     group: &[Option<usize>],
     settings: &RoughnessSettings,
@@ -139,7 +147,7 @@ fn scan(
             group[tap.texel as usize].into_iter().for_each(|g| shares[g % 2] += tap.weight);
         }
         let (side, share) = if shares[0] >= shares[1] { (0, shares[0]) } else { (1, shares[1]) };
-        let s = evidence.segment[p];
+        let s = judges.segment[p];
         (s != NONE && share >= LEAST).then_some((2 * s as usize + side, share))
     };
     let sees: Vec<Option<(usize, f32)>> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
@@ -155,10 +163,10 @@ fn scan(
         problem.solve(&mut albedo, &target, &sigma, 1, settings.iterations);
         for (p, sees) in sees.iter().enumerate() {
             let Some((g, share)) = *sees else { continue };
-            let say = f64::from(share * evidence.say[p]);
+            let say = f64::from(share * judges.say[p]);
             let residual = problem.residual(&albedo, &target, p);
             let cost = say * f64::from(cost(residual, sigma[p], settings.colour_weight));
-            let said = &mut said[g][usize::from(half[p])];
+            let said = &mut said[g][usize::from(judges.half[p])];
             match k {
                 Some(k) => said.other.cost[k] += cost,
                 None => {

@@ -46,6 +46,7 @@ use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::AlbedoProblem;
 use hierarchy::{Parent, settle};
+use joints::Judges;
 use labels::Labels;
 use local::Surface;
 use observations::{Observations, Observer};
@@ -146,8 +147,10 @@ fn recover(
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
     problem.solve_at(&mut albedo, &roughness, 1);
 
-    // and one for its joints, where albedo shows them.
-    let joints = joints::find(&problem, &evidence, &half, (&albedo, &roughness), texel, &settings.roughness, progress)?;
+    // and one for its joints, where albedo shows them. What pixels cost takes more memory than all that is to come.
+    drop(evidence.cost);
+    let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
+    let joints = joints::find(&problem, judges, (&albedo, &roughness), texel, &settings.roughness, progress)?;
     let with_joints = |roughness: &[f32]| -> Vec<f32> {
         joints.iter().zip(roughness).map(|(joint, r)| joint.map_or(*r, |joint| joint.on(*r))).collect()
     };

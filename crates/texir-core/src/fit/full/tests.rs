@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Parent, settle};
-use super::joints::{self, Joint};
+use super::joints::{self, Joint, Judges};
 use super::observations::Observations;
 use super::scan::{Evidence, cost, minimum, scan};
 use crate::atlas::Atlas;
@@ -289,17 +289,11 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let mut albedo = problem.start();
         problem.solve(&mut albedo, &target, &problem.noise(settings.image_noise), 2, 25);
         let pixels = toy.seen.len();
-        let evidence = Evidence {
-            segment: vec![0; pixels],
-            cost: vec![[half::f16::ZERO; NODES]; pixels],
-            say: vec![1.0; pixels],
-            slope: vec![[0.0; NODES]; 2],
-            variation: vec![],
-        };
         // Every view sees each of the floor's texels once.
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
         let texel = 2.0 / FLOOR as f32;
-        joints::find(&problem, &evidence, &half, (&albedo, &surface), texel, &roughness, &Silent).unwrap()
+        let judges = Judges { segment: &vec![0; pixels], say: &vec![1.0; pixels], half: &half };
+        joints::find(&problem, judges, (&albedo, &surface), texel, &roughness, &Silent).unwrap()
     };
     let on = |joints: &[Option<Joint>]| -> Vec<f32> { joints.iter().flatten().map(|joint| joint.on(0.15)).collect() };
     // Texels are 0.25 m wide. The diagonal's touch at their corners.
