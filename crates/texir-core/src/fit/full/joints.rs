@@ -64,43 +64,86 @@ struct Said {
     same: f64,
 }
 
+/// Lines that may be joints.
+pub struct Lines {
+    /// Group of each texel: 2 s for the darker lines of segment s, 2 s + 1 for the brighter ones; `None` beside them.
+    group: Vec<Option<usize>>,
+    /// Whether the lines of each group are at equal distances: no paint is.
+    regular: Vec<bool>,
+}
+
+impl Lines {
+    /// Those that `albedo` shows. `texel` is the edge of a typical texel, metres.
+    pub fn find(problem: &AlbedoProblem<'_>, albedo: &[Vec3A], texel: f32, settings: &JointSettings) -> Self {
+        let (segment, segments) = problem.segment;
+        if settings.width == 0.0 {
+            return Self { group: vec![None; segment.len()], regular: vec![false; 2 * segments] };
+        }
+        let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
+        let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
+        let paint = Paint { ln: &ln, is_seen, segment, adjacency, texel };
+        let straight = settings.straight.iter().map(|course| paint.straight(course, settings.width));
+        let kinds: Vec<Vec<Option<Line>>> =
+            std::iter::once(paint.regular(settings.width)).chain(straight).chain([paint.narrow(settings)]).collect();
+        let enough: Vec<Vec<bool>> =
+            kinds.iter().map(|lines| enough(lines, problem.segment, settings.least_share)).collect();
+        let group = |t: usize| -> Option<usize> {
+            let s = segment[t] as usize;
+            let of_side = |side: Line| {
+                let g = 2 * s + side as usize;
+                let kind = enough.iter().position(|enough| enough[g])?;
+                (kinds[kind][t] == Some(side)).then_some(g)
+            };
+            of_side(Line::Darker).or_else(|| of_side(Line::Brighter))
+        };
+        Self { group: (0..segment.len()).into_par_iter().map(group).collect(), regular: enough[0].clone() }
+    }
+
+    /// The group that a pixel of `segment` sees most of, and its share.
+    fn seen(&self, problem: &AlbedoProblem<'_>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
+        let mut shares = [0.0; 2];
+        for tap in problem.seen.rows.row(pixel) {
+            self.group[tap.texel as usize].into_iter().for_each(|g| shares[g % 2] += tap.weight);
+        }
+        let (side, share) = if shares[0] >= shares[1] { (0, shares[0]) } else { (1, shares[1]) };
+        (segment != NONE && share > 0.0).then_some((2 * segment as usize + side, share))
+    }
+
+    /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's. Where that
+    /// leaves too few of a segment's, all of them stay.
+    pub fn without(&self, problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<u32> {
+        /// The share of a segment's pixels that are enough.
+        const ENOUGH: f32 = 0.25;
+        let sees =
+            |p: usize| self.seen(problem, segment[p], p).is_some_and(|(g, share)| self.regular[g] && share >= LEAST);
+        let sees: Vec<bool> = (0..segment.len()).into_par_iter().map(sees).collect();
+        let mut pixels = vec![[0.0; 2]; problem.segment.1];
+        for (s, sees) in segment.iter().zip(&sees).filter(|(s, _)| **s != NONE) {
+            let [all, plain] = &mut pixels[*s as usize];
+            *all += 1.0;
+            *plain += f32::from(u8::from(!sees));
+        }
+        let left_out = |s: u32| pixels.get(s as usize).is_some_and(|[all, plain]| *plain >= ENOUGH * all);
+        segment.iter().zip(sees).map(|(s, sees)| if sees && left_out(*s) { NONE } else { *s }).collect()
+    }
+}
+
 /// The joints that texels lie on; `None` elsewhere, and on those that are like their surface. `roughness` is that of
-/// the texels without joints, `texel` the edge of a typical texel, metres.
+/// the texels without joints.
 pub fn find(
     problem: &AlbedoProblem<'_>,
     judges: Judges<'_>,
     (albedo, roughness): (&[Vec3A], &[f32]),
-    texel: f32,
+    lines: &Lines,
     settings: &RoughnessSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<Option<Joint>>> {
-    let joints = &settings.joints;
-    if joints.width == 0.0 {
-        return Ok(vec![None; roughness.len()]);
-    }
-    let segment = problem.segment.0;
-    let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
-    let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
-    let paint = Paint { ln: &ln, is_seen, segment, adjacency, texel };
-    let straight = joints.straight.iter().map(|course| paint.straight(course, joints.width));
-    let kinds: Vec<Vec<Option<Line>>> = straight.chain([paint.narrow(joints)]).collect();
-    let enough: Vec<Vec<bool>> = kinds.iter().map(|lines| enough(lines, problem.segment, joints.least_share)).collect();
-    let group = |t: usize| -> Option<usize> {
-        let s = segment[t] as usize;
-        let of_side = |side: Line| {
-            let g = 2 * s + side as usize;
-            let kind = enough.iter().position(|enough| enough[g])?;
-            (kinds[kind][t] == Some(side)).then_some(g)
-        };
-        of_side(Line::Darker).or_else(|| of_side(Line::Brighter))
-    };
-    let group: Vec<Option<usize>> = (0..segment.len()).into_par_iter().map(group).collect();
     let parent = means(roughness, problem.segment);
-    let said = scan(problem, judges, (albedo, roughness), &group, settings, progress)?;
+    let said = scan(problem, judges, (albedo, roughness), lines, settings, progress)?;
     let capped = |joint: Joint| Joint { roughness: joint.roughness.min(settings.cap), ..joint };
     let chosen: Vec<Option<Joint>> =
-        said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], joints).map(capped)).collect();
-    Ok(group.into_iter().map(|g| chosen[g?]).collect())
+        said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], &settings.joints).map(capped)).collect();
+    Ok(lines.group.iter().map(|g| chosen[(*g)?]).collect())
 }
 
 /// Whether the darker and the brighter lines of each segment are at least a share of its texels.
@@ -131,25 +174,17 @@ fn scan(
     problem: &AlbedoProblem<'_>,
     judges: Judges<'_>,
     (albedo, roughness): (&[Vec3A], &[f32]),
-    group: &[Option<usize>],
+    lines: &Lines,
     settings: &RoughnessSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<[Said; 2]>> {
     let mut said = vec![[Said::default(); 2]; 2 * problem.segment.1];
+    let group = &lines.group;
     if group.iter().all(Option::is_none) {
         return Ok(said);
     }
     let sigma = problem.noise(settings.image_noise);
-    // The group that a pixel sees most of, and its share.
-    let sees = |p: usize| -> Option<(usize, f32)> {
-        let mut shares = [0.0; 2];
-        for tap in problem.seen.rows.row(p) {
-            group[tap.texel as usize].into_iter().for_each(|g| shares[g % 2] += tap.weight);
-        }
-        let (side, share) = if shares[0] >= shares[1] { (0, shares[0]) } else { (1, shares[1]) };
-        let s = judges.segment[p];
-        (s != NONE && share >= LEAST).then_some((2 * s as usize + side, share))
-    };
+    let sees = |p: usize| lines.seen(problem, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
     let sees: Vec<Option<(usize, f32)>> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
     progress.start("joints", 1 + tried().count() as u64, "roughnesses");
     for k in std::iter::once(None).chain(tried().map(Some)) {

@@ -31,7 +31,7 @@ pub struct Paint<'a> {
 }
 
 /// Left and right, up and down: the sides of [`Adjacency::beside`], of which the first lie before a texel in the order of the atlas.
-const AXES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
+pub(super) const AXES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
 
 impl Paint<'_> {
     /// Which seen texels lie on straight lines along the rows or the columns of the atlas: where the logarithm of albedo is not what it
@@ -84,14 +84,14 @@ impl Paint<'_> {
     }
 
     /// The texel at a side, of the same segment.
-    fn step(&self, t: usize, side: usize) -> Option<usize> {
+    pub(super) fn step(&self, t: usize, side: usize) -> Option<usize> {
         let next = self.adjacency.beside[t][side];
         (next != NONE && self.segment[next as usize] == self.segment[t]).then_some(next as usize)
     }
 
     /// By how much each texel is brighter than the mean of those some steps away on both sides, half of what these differ by, both in
     /// ln a, and 1; 0 where one of the three is not seen.
-    fn contrast(&self, sides: [usize; 2], away: usize) -> Vec<[f32; 3]> {
+    pub(super) fn contrast(&self, sides: [usize; 2], away: usize) -> Vec<[f32; 3]> {
         /// What differs by more is no paint, such as the rim of what stands there.
         const MOST: f32 = 0.3;
         let seen = |t: &usize| self.is_seen[*t];
@@ -189,16 +189,16 @@ impl Paint<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::rng::hash2;
 
     /// Columns, 1.2 m of them, and rows, 3 m.
-    const EDGES: [usize; 2] = [96, 240];
+    pub const EDGES: [usize; 2] = [96, 240];
     /// Columns from one joint to the next.
     const BOARD: usize = 12;
 
-    fn grid() -> Adjacency {
+    pub fn grid() -> Adjacency {
         let [columns, rows] = EDGES.map(|edge| edge as i32);
         let at = |x: i32, y: i32| {
             let inside = (0..columns).contains(&x) && (0..rows).contains(&y);

@@ -71,44 +71,58 @@ impl Surface<'_> {
 }
 
 /// Roughness of every texel from what it is by its segment and colour. `whole` is that of each segment, `blocks` what
-/// [`Surface::blocks`] holds.
+/// [`Surface::blocks`] holds, and `plain` the same of the pixels that see no joints: they say what roughness finishes have, and all of
+/// them together where.
 pub fn refine(
     surface: &Surface<'_>,
-    blocks: &[(Place, Halves)],
+    (blocks, plain): (&[(Place, Halves)], &[(Place, Halves)]),
     whole: &[f32],
     roughness: &[f32],
     settings: &LocalSettings,
 ) -> Vec<f32> {
     let segments: Vec<&[(Place, Halves)]> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
     let changes: BTreeMap<Place, f32> =
-        segments.into_par_iter().flat_map_iter(|blocks| two_finishes(blocks, whole, settings)).collect();
+        segments.into_par_iter().flat_map_iter(|blocks| two_finishes((blocks, plain), whole, settings)).collect();
     let blended = |t: usize| {
         let (mut sum, mut weight) = (0.0, 0.0);
         for (place, near) in surface.between(t) {
-            if let Some(change) = changes.get(&place) {
-                sum += near * change;
+            if let Some(times) = changes.get(&place) {
+                sum += near * times;
                 weight += near;
             }
         }
-        roughness[t] * if weight > 0.0 { (sum / weight).exp() } else { 1.0 }
+        roughness[t] * if weight > 0.0 { sum / weight } else { 1.0 }
     };
     (0..roughness.len()).into_par_iter().map(blended).collect()
 }
 
-/// By how much the blocks of a segment differ from it, in ln r; nothing where one finish is as good.
-fn two_finishes(blocks: &[(Place, Halves)], whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
+/// How many times as rough as their segment its blocks are; nothing where one finish is as good.
+fn two_finishes(
+    (blocks, plain): (&[(Place, Halves)], &[(Place, Halves)]),
+    whole: &[f32],
+    settings: &LocalSettings,
+) -> Vec<(Place, f32)> {
     let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
     let neighbours = Neighbours::of(blocks);
     let pair = best_pair(&own, &neighbours);
     let believed = half_at(settings.gain, gain(blocks, &neighbours, pair, settings));
     let rough = neighbours.shares(&own, pair);
-    let finishes = finishes(&own, &rough);
-    if believed == 0.0 || finishes.iter().any(|finish| finish.pixels < f64::from(settings.pixels)) {
+    let of_all = finishes(&own, &rough);
+    let few = |finish: &Tally| finish.pixels < f64::from(settings.pixels);
+    if believed == 0.0 || of_all.iter().any(few) {
         return Vec::new();
     }
+    let of_plain = |(place, _): &(Place, Halves)| {
+        let block = plain.binary_search_by_key(place, |(place, _)| *place).ok();
+        block.map_or(Tally::default(), |block| Tally::sum(plain[block].1.iter()))
+    };
+    let plain = finishes(&blocks.iter().map(of_plain).collect::<Vec<_>>(), &rough);
     let whole = whole[blocks[0].0.0 as usize];
-    let differs = finishes.map(|finish| believed * (minimum(&finish.misfit()) / whole).ln());
-    let of_block = |share: &f64| differs[0] + *share as f32 * (differs[1] - differs[0]);
+    let times = [0, 1].map(|finish| {
+        let says = if few(&plain[finish]) { &of_all[finish] } else { &plain[finish] };
+        (minimum(&says.misfit()) / whole).powf(believed)
+    });
+    let of_block = |share: &f64| times[0] + *share as f32 * (times[1] - times[0]);
     blocks.iter().map(|(place, _)| *place).zip(rough.iter().map(of_block)).collect()
 }
 

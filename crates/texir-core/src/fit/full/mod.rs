@@ -1,6 +1,6 @@
 //! The fit in full mode: light samples drawn beforehand, albedo by robust least squares, roughness by a scan per segment.
 //!
-//! labels → observations → segments → scan (→ metals) → hierarchy → colours, finishes → joints → albedo → what is hidden. No ray is
+//! labels → observations → segments → scan (→ metals) → hierarchy → lines → colours, finishes → joints → albedo → what is hidden. No ray is
 //! traced after the observations. A first, coarse round tells what light surfaces send, of which irradiance and observations are
 //! made again.
 
@@ -22,6 +22,7 @@ pub mod metals;
 pub mod observations;
 pub mod palette;
 mod reflections;
+pub mod regular;
 pub mod scan;
 pub mod segments;
 pub mod variation;
@@ -46,7 +47,7 @@ use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::AlbedoProblem;
 use hierarchy::{Parent, settle};
-use joints::Judges;
+use joints::{Judges, Lines};
 use labels::Labels;
 use local::Surface;
 use observations::{Observations, Observer};
@@ -129,28 +130,31 @@ fn recover(
         scan_models(&mut problem, &segments, settings, progress)?;
     problem.solve_at(&mut albedo, &segments.of_texels(&by_segment), 1);
 
-    // others for its colours, and where it has two finishes,
+    // others for its colours, and where it has two finishes, of which pixels that see joints would make a mixture,
+    let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints);
     let half = evidence.halves(&seen.views);
     let surface = Surface {
         width: atlas.width,
         texels: &atlas.texels,
         segment: segment.0,
         face: &segments.face,
-        heaviest: &heaviest(seen, &evidence),
+        heaviest: &heaviest(seen, &evidence.segment),
         half: &half,
         block: (settings.roughness.local.block / texel).round().max(2.0),
     };
     let blocks = surface.blocks(&evidence);
+    let without_joints = heaviest(seen, &lines.without(&problem, &evidence.segment));
+    let plain = Surface { heaviest: &without_joints, ..surface }.blocks(&evidence);
     let palettes = problem.palettes(&albedo, &settings.palette);
     let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
-    let mut roughness = local::refine(&surface, &blocks, &by_segment, &of_colours, &settings.roughness.local);
+    let mut roughness = local::refine(&surface, (&blocks, &plain), &by_segment, &of_colours, &settings.roughness.local);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
     problem.solve_at(&mut albedo, &roughness, 1);
 
-    // and one for its joints, where albedo shows them. What pixels cost takes more memory than all that is to come.
+    // and one for its joints. What pixels cost takes more memory than all that is to come.
     drop(evidence.cost);
     let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
-    let joints = joints::find(&problem, judges, (&albedo, &roughness), texel, &settings.roughness, progress)?;
+    let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
     let with_joints = |roughness: &[f32]| -> Vec<f32> {
         joints.iter().zip(roughness).map(|(joint, r)| joint.map_or(*r, |joint| joint.on(*r))).collect()
     };
@@ -286,13 +290,13 @@ fn roughness_of_segments(
     hierarchy::of_segments(segments, tallies, &colours, settings)
 }
 
-/// The texel that each pixel sees most of; [`NONE`] for pixels that do not count.
-fn heaviest(seen: &Observations, evidence: &scan::Evidence) -> Vec<u32> {
+/// The texel that each pixel sees most of; [`NONE`] for pixels of no segment, which do not count.
+fn heaviest(seen: &Observations, segment: &[u32]) -> Vec<u32> {
     let of_pixel = |(p, segment): (usize, &u32)| {
         let heaviest = seen.rows.row(p).iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
         heaviest.filter(|_| *segment != NONE).map_or(NONE, |tap| tap.texel)
     };
-    evidence.segment.par_iter().enumerate().map(of_pixel).collect()
+    segment.par_iter().enumerate().map(of_pixel).collect()
 }
 
 /// Roughness of every texel, by the colours of its segment.

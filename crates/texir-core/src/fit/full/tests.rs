@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Parent, settle};
-use super::joints::{self, Joint, Judges};
+use super::joints::{self, Joint, Judges, Lines};
 use super::observations::Observations;
 use super::scan::{Evidence, cost, minimum, scan};
 use crate::atlas::Atlas;
@@ -293,7 +293,8 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
         let texel = 2.0 / FLOOR as f32;
         let judges = Judges { segment: &vec![0; pixels], say: &vec![1.0; pixels], half: &half };
-        joints::find(&problem, judges, (&albedo, &surface), texel, &roughness, &Silent).unwrap()
+        let lines = Lines::find(&problem, &albedo, texel, &roughness.joints);
+        joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap()
     };
     let on = |joints: &[Option<Joint>]| -> Vec<f32> { joints.iter().flatten().map(|joint| joint.on(0.15)).collect() };
     // Texels are 0.25 m wide. The diagonal's touch at their corners.
@@ -441,7 +442,8 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
         block: 6.0,
     };
     let by = |surface: &Surface<'_>, evidence: &Evidence, settings: &LocalSettings| {
-        refine(surface, &surface.blocks(evidence), &[0.2], &[0.2; 1024], settings)
+        let blocks = surface.blocks(evidence);
+        refine(surface, (&blocks, &blocks), &[0.2], &[0.2; 1024], settings)
     };
     // By default a finish must have 500 pixels, about as many as each has here.
     let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
@@ -509,7 +511,8 @@ fn the_blocks_of_a_face_speak_for_each_other() {
         let surface =
             Surface { width: 60, texels: &texels, segment: &segment, face, heaviest: &texels, half: &half, block: 6.0 };
         let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
-        refine(&surface, &surface.blocks(&evidence), &[0.2], &vec![0.2; texels.len()], &settings)
+        let blocks = surface.blocks(&evidence);
+        refine(&surface, (&blocks, &blocks), &[0.2], &vec![0.2; texels.len()], &settings)
     };
     let walls: Vec<u32> = texels.iter().map(|t| u32::from(column(*t) >= 30)).collect();
     let roughness = by_face(&walls);
@@ -518,6 +521,54 @@ fn the_blocks_of_a_face_speak_for_each_other() {
     // Negative control: where both walls are one face, that says nothing, and only the blocks beside them do.
     let alone = by_face(&vec![0; texels.len()])[3 * 60 + 9];
     assert!(alone > 1.2 * off, "{off} {alone}");
+}
+
+#[test]
+fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
+    use super::local::{Surface, refine};
+    use super::scan::Evidence;
+    use crate::fit::settings::LocalSettings;
+    use crate::specular_table::{NODES, node};
+    // 0.1 on the left, 0.3 on the right; what pixels see of every third column is twice as rough, for the joint in it.
+    const WIDTH: u32 = 64;
+    let texels: Vec<u32> = (0..WIDTH * 24).collect();
+    let is_joint = |t: u32| t % WIDTH % 3 == 0;
+    let cost = |&t: &u32| -> [half::f16; NODES] {
+        let truth = if t % WIDTH < 32 { 0.1f32 } else { 0.3 } * if is_joint(t) { 2.0 } else { 1.0 };
+        std::array::from_fn(|k| half::f16::from_f32(0.1 + (node(k) / truth).ln().powi(2).min(1.0)))
+    };
+    let evidence = Evidence {
+        segment: vec![0; texels.len()],
+        cost: texels.iter().map(cost).collect(),
+        say: vec![1.0; texels.len()],
+        slope: vec![],
+        variation: vec![],
+    };
+    let refined = |counts: &dyn Fn(u32) -> bool| {
+        let half: Vec<u8> = texels.iter().map(|t| ((t % WIDTH + t / WIDTH) % 2) as u8).collect();
+        let segment = vec![0; texels.len()];
+        let heaviest: Vec<u32> = texels.iter().map(|t| if counts(*t) { *t } else { NONE }).collect();
+        let surface = Surface {
+            width: WIDTH as usize,
+            texels: &texels,
+            segment: &segment,
+            face: &segment,
+            heaviest: &texels,
+            half: &half,
+            block: 6.0,
+        };
+        let plain = Surface { heaviest: &heaviest, ..surface }.blocks(&evidence);
+        let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
+        let roughness =
+            refine(&surface, (&surface.blocks(&evidence), &plain), &[0.17], &vec![0.17; texels.len()], &settings);
+        [8, 56].map(|column| roughness[(12 * WIDTH + column) as usize])
+    };
+    let [left, right] = refined(&|t| !is_joint(t));
+    assert!((left - 0.1).abs() < 0.01 && (right - 0.3).abs() < 0.02, "{left} {right}");
+    // Negative control: all pixels. Where those without joints are too few, all count as well.
+    let [left, right] = refined(&|_| true);
+    assert!(left > 0.11 && right > 0.33, "{left} {right}");
+    assert_eq!(refined(&|t| t % WIDTH < 2), [left, right]);
 }
 
 #[test]

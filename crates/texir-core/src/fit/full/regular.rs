@@ -1,0 +1,264 @@
+//! Lines at equal distances, as boards of one width and tiles are laid.
+//!
+//! Where they are follows from all of them together, also of those that hardly stand out and of those that no view shows: the mean
+//! contrast of the rows of a chart, or of its columns, is averaged over every period and phase, and those lines are believed that stand
+//! out of the rest by far more than chance brings about.
+
+use rayon::prelude::*;
+
+use super::lines::{AXES, Line, Paint};
+
+/// Lines must be so far apart, rows: closer ones are not told from what albedo is wrong by between neighbours.
+const CLOSEST: f32 = 5.0;
+/// So many of them must be seen.
+const LEAST_LINES: f32 = 3.5;
+/// Phases that are tried, per row; periods are so close that the last line is as exact.
+const STEPS: f32 = 4.0;
+/// How many standard errors their mean contrast must be, by what the rows between them have. Of thousands of periods and phases, the
+/// best has four to six by chance.
+const LEAST_EVIDENCE: f32 = 6.0;
+/// The mean contrast that lines must have, in ln a,
+const LEAST_CONTRAST: f32 = 0.05;
+/// and the share of them that must have some of it.
+const LEAST_ALIKE: f32 = 0.8;
+/// A line is as wide as it has this share of its contrast,
+const WIDE: f32 = 2.0 / 3.0;
+/// and half as wide as this at least, rows.
+const NARROWEST: f32 = 0.6;
+/// How much of a row must be seen, metres.
+const SEEN: f32 = 0.25;
+
+/// Texels of a segment that lie in one chart, with their column and row.
+type Piece = Vec<(u32, [i32; 2])>;
+
+impl Paint<'_> {
+    /// Which texels, seen or not, lie on lines along the rows or the columns of the atlas that are at equal distances in their
+    /// chart. None where texels are wider than lines may be (`width`, metres).
+    pub fn regular(&self, width: f32) -> Vec<Option<Line>> {
+        let mut lines = vec![None; self.ln.len()];
+        if self.texel > width {
+            return lines;
+        }
+        let away = (width / self.texel).round().max(2.0) as usize;
+        let least = (SEEN / self.texel).max(1.0);
+        let pieces = self.pieces();
+        for (axis, across) in AXES.iter().enumerate() {
+            let contrast = self.contrast(*across, away);
+            let of_piece = |piece: &Piece| {
+                let first = piece.iter().map(|(_, at)| at[axis]).min()?;
+                let row = |at: &[i32; 2]| (at[axis] - first) as usize;
+                let (line, comb) =
+                    Rows::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least).lines(away as f32)?;
+                let on = piece.iter().filter(|(_, at)| comb.distance(row(at) as f32) < comb.half_width);
+                Some((line, on.map(|(t, _)| *t).collect::<Vec<u32>>()))
+            };
+            let found: Vec<_> = pieces.par_iter().filter_map(of_piece).collect();
+            for (line, texels) in found {
+                texels.into_iter().for_each(|t| lines[t as usize] = Some(line));
+            }
+        }
+        lines
+    }
+
+    /// The texels of each segment in each chart.
+    fn pieces(&self) -> Vec<Piece> {
+        /// What a step to each side of [`Adjacency::beside`](crate::fit::adjacency::Adjacency::beside) changes.
+        const STEPS: [[i32; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
+        let mut reached = vec![false; self.ln.len()];
+        let mut pieces = Vec::new();
+        for start in 0..self.ln.len() {
+            if std::mem::replace(&mut reached[start], true) {
+                continue;
+            }
+            let mut piece = vec![(start as u32, [0; 2])];
+            let mut at = 0;
+            while let Some(&(t, [x, y])) = piece.get(at) {
+                at += 1;
+                for (side, [dx, dy]) in STEPS.iter().enumerate() {
+                    let next = self.step(t as usize, side).filter(|n| !std::mem::replace(&mut reached[*n], true));
+                    piece.extend(next.map(|n| (n as u32, [x + dx, y + dy])));
+                }
+            }
+            pieces.push(piece);
+        }
+        pieces
+    }
+}
+
+/// Lines at equal distances, all in rows.
+#[derive(Clone, Copy, Debug)]
+struct Comb {
+    period: f32,
+    phase: f32,
+    half_width: f32,
+}
+
+impl Comb {
+    /// Where its lines are, up to the row `last`.
+    fn lines(self, last: f32) -> impl Iterator<Item = f32> {
+        (0..).map(move |k| self.phase + k as f32 * self.period).take_while(move |row| *row <= last)
+    }
+
+    /// How far a row is from the nearest line.
+    fn distance(&self, row: f32) -> f32 {
+        let offset = (row - self.phase).rem_euclid(self.period);
+        offset.min(self.period - offset)
+    }
+}
+
+/// How dark, on average, the rows of a chart are beside what is around them, in ln a, times how many of their texels say so; and these.
+#[derive(Clone)]
+struct Rows(Vec<[f32; 2]>);
+
+impl Rows {
+    /// By the row and the contrast of each texel ([`Paint::contrast`]); rows of fewer than `least` say nothing.
+    fn of(texels: impl Iterator<Item = (usize, [f32; 3])>, least: f32) -> Self {
+        let mut rows: Vec<[f32; 2]> = Vec::new();
+        for (row, [contrast, _, weight]) in texels {
+            rows.resize(rows.len().max(row + 1), [0.0; 2]);
+            rows[row][0] -= contrast * weight;
+            rows[row][1] += weight;
+        }
+        rows.iter_mut().filter(|[_, weight]| *weight < least).for_each(|row| *row = [0.0; 2]);
+        Self(rows)
+    }
+
+    /// The last one.
+    fn last(&self) -> f32 {
+        self.0.len() as f32 - 1.0
+    }
+
+    /// What lies between two rows.
+    fn at(&self, row: f32) -> [f32; 2] {
+        let (i, share) = (row as usize, row.fract());
+        let [a, b] = [i, i + 1].map(|i| self.0.get(i).copied().unwrap_or_default());
+        [0, 1].map(|k| (1.0 - share) * a[k] + share * b[k])
+    }
+
+    /// The mean of all lines, and how many their weights are worth.
+    fn mean(&self, comb: Comb) -> [f32; 2] {
+        let sums = comb.lines(self.last()).map(|row| self.at(row));
+        let [sum, all, squares] =
+            sums.fold([0.0; 3], |[sum, all, squares], [c, w]| [sum + c, all + w, squares + w * w]);
+        if all > 0.0 { [sum / all, all * all / squares] } else { [0.0; 2] }
+    }
+
+    /// The lines that are believed, of contrasts with what is `away` rows.
+    fn lines(self, away: f32) -> Option<(Line, Comb)> {
+        let brighter = Self(self.0.iter().map(|[c, w]| [-c, *w]).collect());
+        let found = [(Line::Darker, self), (Line::Brighter, brighter)]
+            .into_iter()
+            .filter_map(|(line, rows)| Some((line, rows.believed(away)?)));
+        let (line, (_, comb)) = found.max_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
+        Some((line, comb))
+    }
+
+    /// What stands out most, and by how many standard errors, if that is enough.
+    fn believed(&self, away: f32) -> Option<(f32, Comb)> {
+        let (stands_out, comb) = self.candidates().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        // A line as wide as `away` is what rows are compared with up to half more from its middle.
+        let beside = (1.5 * away).min(comb.period / 3.0);
+        let between = (0..self.0.len()).filter(|row| comb.distance(*row as f32) > beside);
+        let [squares, all] = between
+            .map(|row| self.0[row])
+            .filter(|[_, w]| *w > 0.0)
+            .fold([0.0; 2], |[squares, all], [c, w]| [squares + c * c / w, all + w]);
+        let evidence = stands_out / (squares / all).sqrt();
+        let [contrast, _] = self.mean(comb);
+        let seen: Vec<[f32; 2]> = comb.lines(self.last()).map(|row| self.at(row)).filter(|[_, w]| *w > 0.0).collect();
+        let alike = seen.iter().filter(|[c, w]| *c > 0.3 * contrast * w).count() as f32 / seen.len() as f32;
+        let believed = evidence > LEAST_EVIDENCE && contrast > LEAST_CONTRAST && alike >= LEAST_ALIKE;
+        believed.then(|| (evidence, self.as_wide_as_seen(comb)))
+    }
+
+    /// All periods and phases, by what their lines stand out.
+    fn candidates(&self) -> impl Iterator<Item = (f32, Comb)> {
+        let rows = self.0.len() as f32;
+        let next = move |period: &f32| Some(period + period / (STEPS * rows));
+        let periods = std::iter::successors(Some(CLOSEST), next).take_while(move |period| period * LEAST_LINES <= rows);
+        periods.flat_map(move |period| {
+            let of_phase = move |step: usize| {
+                let comb = Comb { period, phase: step as f32 / STEPS, half_width: NARROWEST };
+                let [contrast, lines] = self.mean(comb);
+                (lines >= LEAST_LINES).then_some((contrast * lines.sqrt(), comb))
+            };
+            (0..(STEPS * period) as usize).filter_map(of_phase)
+        })
+    }
+
+    /// With the width that lines have on average.
+    fn as_wide_as_seen(&self, comb: Comb) -> Comb {
+        let [contrast, _] = self.mean(comb);
+        let is_line = |step: &i32| {
+            let phase = (comb.phase + *step as f32 / STEPS).rem_euclid(comb.period);
+            self.mean(Comb { phase, ..comb })[0] > WIDE * contrast
+        };
+        let most = (0.5 * STEPS * comb.period) as i32;
+        let [before, behind] = [-1, 1].map(|side| (1..most).take_while(|step| is_line(&(side * step))).count() as f32);
+        let half_width = (0.5 * (before + behind) / STEPS).max(NARROWEST);
+        Comb { phase: comb.phase + 0.5 * (behind - before) / STEPS, half_width, ..comb }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::lines::tests::{EDGES, grid};
+    use super::*;
+    use crate::rng::hash2;
+
+    /// Edge of a texel, metres, and how wide lines may be.
+    const TEXEL: f32 = 0.01;
+    const WIDTH: f32 = 0.03;
+
+    /// A floor whose joints, columns, are darker by `contrast` than boards that are up to `uneven` brighter or darker, under noise of ±0.3.
+    /// A third of it is not seen. Of all texels: the share of joints that is found, and the share of what is found that is one.
+    fn found(is_joint: impl Fn(usize) -> bool, uneven: f32, contrast: f32) -> [f32; 2] {
+        let [columns, rows] = EDGES;
+        let random = |a: usize, b: u32| hash2(a as u32, b) as f32 / u32::MAX as f32 - 0.5;
+        let board = |column: usize| (0..=column).filter(|c| is_joint(*c)).count();
+        let of_texel = |t: usize| {
+            let paint = 2.0 * uneven * random(board(t % columns), 1) + 0.6 * random(t, 2);
+            paint - if is_joint(t % columns) { contrast } else { 0.0 }
+        };
+        let ln: Vec<f32> = (0..columns * rows).map(of_texel).collect();
+        let is_seen: Vec<bool> = (0..ln.len()).map(|t| t % columns < 64).collect();
+        let (adjacency, segment) = (grid(), vec![0; ln.len()]);
+        let paint = Paint { ln: &ln, is_seen: &is_seen, segment: &segment, adjacency: &adjacency, texel: TEXEL };
+        let lines = paint.regular(WIDTH);
+        let dark = |t: usize| lines[t] == Some(Line::Darker);
+        assert!((0..ln.len()).all(|t| lines[t].is_none() || dark(t)));
+        let count = |what: &dyn Fn(usize) -> bool| (0..ln.len()).filter(|t| what(*t)).count() as f32;
+        let both = count(&|t| dark(t) && is_joint(t % columns));
+        [both / count(&|t| is_joint(t % columns)), both / count(&dark).max(1.0)]
+    }
+
+    #[test]
+    fn lines_at_equal_distances_go_on_where_nothing_is_seen() {
+        // Distances of 9.4 texels, which no row but those of all lines together tells, and lines three texels wide.
+        let narrow = |column: usize| (column as f32 + 0.5 - 4.0).rem_euclid(9.4) < 1.0;
+        let wide = |column: usize| (6..9).contains(&(column % 15));
+        // Between boards of uneven paint, and where few are seen, periods are less exact, and some of those that are not seen come out
+        // beside where they are.
+        let cases = [
+            ([0.9, 0.8], found(narrow, 0.0, 0.15)),
+            ([0.7, 0.7], found(narrow, 0.1, 0.15)),
+            ([0.6, 0.8], found(wide, 0.0, 0.25)),
+        ];
+        for (least, [recall, precision]) in cases {
+            assert!(recall > least[0] && precision > least[1], "{recall} {precision}, at least {least:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_at_equal_distances_is_no_such_line() {
+        let regular = |column: usize| column % 10 == 4;
+        let irregular = |column: usize| [3, 14, 22, 36, 43, 59, 64, 81].contains(&column);
+        assert_eq!(found(irregular, 0.0, 0.15), [0.0; 2]);
+        // Nor are boards of uneven paint, or noise.
+        for uneven in [0.0, 0.1, 0.2] {
+            assert_eq!(found(regular, uneven, 0.0), [0.0; 2], "{uneven}");
+        }
+        // Negative control.
+        assert!(found(regular, 0.0, 0.15)[0] > 0.9);
+    }
+}
