@@ -40,6 +40,9 @@ pub type Place = (u32, u32, i32, i32);
 /// What the pixels of a block say, by half of the views.
 pub type Halves = [Tally; 2];
 
+/// Blocks in the order of their places.
+pub type Blocks = [(Place, Halves)];
+
 impl Surface<'_> {
     /// The blocks that pixels see, in the order of their places.
     pub fn blocks(&self, evidence: &Evidence) -> Vec<(Place, Halves)> {
@@ -75,12 +78,12 @@ impl Surface<'_> {
 /// them together where.
 pub fn refine(
     surface: &Surface<'_>,
-    (blocks, plain): (&[(Place, Halves)], &[(Place, Halves)]),
+    (blocks, plain): (&Blocks, &Blocks),
     whole: &[f32],
     roughness: &[f32],
     settings: &LocalSettings,
 ) -> Vec<f32> {
-    let segments: Vec<&[(Place, Halves)]> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
+    let segments: Vec<&Blocks> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
     let changes: BTreeMap<Place, f32> =
         segments.into_par_iter().flat_map_iter(|blocks| two_finishes((blocks, plain), whole, settings)).collect();
     let blended = |t: usize| {
@@ -97,11 +100,7 @@ pub fn refine(
 }
 
 /// How many times as rough as their segment its blocks are; nothing where one finish is as good.
-fn two_finishes(
-    (blocks, plain): (&[(Place, Halves)], &[(Place, Halves)]),
-    whole: &[f32],
-    settings: &LocalSettings,
-) -> Vec<(Place, f32)> {
+fn two_finishes((blocks, plain): (&Blocks, &Blocks), whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
     let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
     let neighbours = Neighbours::of(blocks);
     let pair = best_pair(&own, &neighbours);
@@ -163,7 +162,7 @@ fn finishes(tallies: &[Tally], rough: &[f64]) -> [Tally; 2] {
 
 /// By how much the logarithm of the mean cost falls, in each half of the views, by the finish that the other half finds where it
 /// differs from the segment's own; less for few pixels, and 0 for none.
-fn gain(blocks: &[(Place, Halves)], neighbours: &Neighbours, pair: [usize; 2], settings: &LocalSettings) -> f32 {
+fn gain(blocks: &Blocks, neighbours: &Neighbours, pair: [usize; 2], settings: &LocalSettings) -> f32 {
     let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
     for [mine, other] in [[0, 1], [1, 0]] {
         let asks: Vec<Tally> = blocks.iter().map(|(_, halves)| halves[other]).collect();
@@ -196,8 +195,8 @@ struct Neighbours {
 }
 
 impl Neighbours {
-    fn of(blocks: &[(Place, Halves)]) -> Self {
-        let face_after = |end: &mut usize, face: &[(Place, Halves)]| {
+    fn of(blocks: &Blocks) -> Self {
+        let face_after = |end: &mut usize, face: &Blocks| {
             let first = std::mem::replace(end, *end + face.len());
             Some(first..*end)
         };

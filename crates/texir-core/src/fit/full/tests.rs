@@ -532,7 +532,7 @@ fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
     // 0.1 on the left, 0.3 on the right; what pixels see of every third column is twice as rough, for the joint in it.
     const WIDTH: u32 = 64;
     let texels: Vec<u32> = (0..WIDTH * 24).collect();
-    let is_joint = |t: u32| t % WIDTH % 3 == 0;
+    let is_joint = |t: u32| (t % WIDTH).is_multiple_of(3);
     let cost = |&t: &u32| -> [half::f16; NODES] {
         let truth = if t % WIDTH < 32 { 0.1f32 } else { 0.3 } * if is_joint(t) { 2.0 } else { 1.0 };
         std::array::from_fn(|k| half::f16::from_f32(0.1 + (node(k) / truth).ln().powi(2).min(1.0)))
