@@ -17,6 +17,7 @@ use crate::fit::adjacency::NONE;
 use crate::fit::settings::{JointSettings, RoughnessSettings};
 use crate::progress::Progress;
 use crate::specular_table::{NODES, node};
+use crate::texture::Rows;
 
 /// Albedo of a black line, so that its logarithm stays finite.
 const BLACK: f32 = 0.01;
@@ -100,9 +101,9 @@ impl Lines {
     }
 
     /// The group that a pixel of `segment` sees most of, and its share.
-    fn seen(&self, problem: &AlbedoProblem<'_>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
+    fn seen(&self, rows: &Rows, segment: u32, pixel: usize) -> Option<(usize, f32)> {
         let mut shares = [0.0; 2];
-        for tap in problem.seen.rows.row(pixel) {
+        for tap in rows.row(pixel) {
             self.group[tap.texel as usize].into_iter().for_each(|g| shares[g % 2] += tap.weight);
         }
         let (side, share) = if shares[0] >= shares[1] { (0, shares[0]) } else { (1, shares[1]) };
@@ -111,13 +112,13 @@ impl Lines {
 
     /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's. Where that
     /// leaves too few of a segment's, all of them stay.
-    pub fn without(&self, problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<u32> {
+    pub fn without(&self, rows: &Rows, segment: &[u32]) -> Vec<u32> {
         /// The share of a segment's pixels that are enough.
         const ENOUGH: f32 = 0.25;
         let sees =
-            |p: usize| self.seen(problem, segment[p], p).is_some_and(|(g, share)| self.regular[g] && share >= LEAST);
+            |p: usize| self.seen(rows, segment[p], p).is_some_and(|(g, share)| self.regular[g] && share >= LEAST);
         let sees: Vec<bool> = (0..segment.len()).into_par_iter().map(sees).collect();
-        let mut pixels = vec![[0.0; 2]; problem.segment.1];
+        let mut pixels = vec![[0.0; 2]; self.regular.len() / 2];
         for (s, sees) in segment.iter().zip(&sees).filter(|(s, _)| **s != NONE) {
             let [all, plain] = &mut pixels[*s as usize];
             *all += 1.0;
@@ -184,7 +185,7 @@ fn scan(
         return Ok(said);
     }
     let sigma = problem.noise(settings.image_noise);
-    let sees = |p: usize| lines.seen(problem, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
+    let sees = |p: usize| lines.seen(&problem.seen.rows, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
     let sees: Vec<Option<(usize, f32)>> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
     progress.start("joints", 1 + tried().count() as u64, "roughnesses");
     for k in std::iter::once(None).chain(tried().map(Some)) {
@@ -236,4 +237,28 @@ fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joi
     let pixels = both.pixels as f32;
     let believed = half_at(settings.agreement, gain * pixels / (pixels + settings.half_pixels));
     best(&both).filter(|_| believed > 0.0).map(|k| Joint { roughness: node(k), believed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::texture::Tap;
+
+    #[test]
+    fn what_pixels_see_of_regular_joints_is_not_their_surfaces() {
+        // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5, may be paint.
+        let lines = Lines {
+            group: vec![None, Some(0), None, Some(2), None, Some(4)],
+            regular: vec![true, false, true, false, false, false],
+        };
+        let pixel = |surface: u32, joint: f32| {
+            [Tap { texel: surface, weight: 1.0 - joint }, Tap { texel: surface + 1, weight: joint }]
+        };
+        let pixels = [(0, 0.5), (0, 0.1), (0, 0.0), (2, 0.3), (2, 0.4), (4, 0.9), (0, 0.3)];
+        let taps: Vec<Tap> = pixels.iter().flat_map(|(surface, joint)| pixel(*surface, *joint)).collect();
+        let rows = Rows { offsets: (0..=pixels.len() as u32).map(|p| 2 * p).collect(), taps };
+        // The last shows an edge, and counts for nothing anyway. No pixel of segment 1 is without its joint, so that all stay.
+        let segment = [0, 0, 0, 1, 1, 2, NONE];
+        assert_eq!(lines.without(&rows, &segment), [NONE, 0, 0, 1, 1, 2, NONE]);
+    }
 }

@@ -143,7 +143,7 @@ fn recover(
         block: (settings.roughness.local.block / texel).round().max(2.0),
     };
     let blocks = surface.blocks(&evidence);
-    let without_joints = heaviest(seen, &lines.without(&problem, &evidence.segment));
+    let without_joints = heaviest(seen, &lines.without(&seen.rows, &evidence.segment));
     let plain = Surface { heaviest: &without_joints, ..surface }.blocks(&evidence);
     let palettes = problem.palettes(&albedo, &settings.palette);
     let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
