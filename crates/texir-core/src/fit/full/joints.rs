@@ -69,7 +69,7 @@ struct Said {
 pub struct Lines {
     /// Group of each texel: 2 s for the darker lines of segment s, 2 s + 1 for the brighter ones; `None` beside them.
     group: Vec<Option<usize>>,
-    /// Whether the lines of each group are at equal distances: no paint is.
+    /// Whether the lines of each group are at equal distances, as few patterns but joints are.
     regular: Vec<bool>,
 }
 
