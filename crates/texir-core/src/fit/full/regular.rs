@@ -48,7 +48,7 @@ impl Paint<'_> {
                 let first = piece.iter().map(|(_, at)| at[axis]).min()?;
                 let row = |at: &[i32; 2]| (at[axis] - first) as usize;
                 let (line, comb) =
-                    Rows::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least).lines(away as f32)?;
+                    Profile::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least).lines(away as f32)?;
                 let on = piece.iter().filter(|(_, at)| comb.distance(row(at) as f32) < comb.half_width);
                 Some((line, on.map(|(t, _)| *t).collect::<Vec<u32>>()))
             };
@@ -108,9 +108,9 @@ impl Comb {
 
 /// How dark, on average, the rows of a chart are beside what is around them, in ln a, times how many of their texels say so; and these.
 #[derive(Clone)]
-struct Rows(Vec<[f32; 2]>);
+struct Profile(Vec<[f32; 2]>);
 
-impl Rows {
+impl Profile {
     /// By the row and the contrast of each texel ([`Paint::contrast`]); rows of fewer than `least` say nothing.
     fn of(texels: impl Iterator<Item = (usize, [f32; 3])>, least: f32) -> Self {
         let mut rows: Vec<[f32; 2]> = Vec::new();
