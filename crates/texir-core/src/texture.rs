@@ -130,25 +130,51 @@ pub struct Tap {
 }
 
 /// A list of rows of taps.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Rows {
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rows<T = Tap> {
     /// `rows + 1` offsets into `taps`.
     pub offsets: Vec<u32>,
     /// Entries, row by row.
-    pub taps: Vec<Tap>,
+    pub taps: Vec<T>,
 }
 
-impl Rows {
+impl<T> Default for Rows<T> {
+    fn default() -> Self {
+        Self { offsets: vec![0], taps: Vec::new() }
+    }
+}
+
+impl<T> Rows<T> {
     /// Flattens one list of taps per row.
-    pub fn from_lists(lists: impl IntoIterator<Item = Vec<Tap>>) -> Self {
-        let mut rows = Rows { offsets: vec![0], taps: Vec::new() };
-        for list in lists {
-            rows.taps.extend(list);
-            rows.offsets.push(rows.taps.len() as u32);
-        }
+    pub fn from_lists(lists: impl IntoIterator<Item = Vec<T>>) -> Self {
+        let mut rows = Self::default();
+        lists.into_iter().for_each(|list| rows.push(list));
         rows
     }
 
+    /// Adds a row at the end.
+    pub fn push(&mut self, row: impl IntoIterator<Item = T>) {
+        self.taps.extend(row);
+        self.offsets.push(self.taps.len() as u32);
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// True without rows.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Entries of row `i`.
+    pub fn row(&self, i: usize) -> &[T] {
+        &self.taps[self.offsets[i] as usize..self.offsets[i + 1] as usize]
+    }
+}
+
+impl Rows {
     /// The transpose of a matrix with `columns` columns: its row `j` lists the rows of `self` that have an entry in column
     /// `j`, ascending.
     pub fn transposed(&self, columns: usize) -> Rows {
@@ -196,21 +222,6 @@ impl Rows {
             })
             .collect();
         Self::from_lists(lists)
-    }
-
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        self.offsets.len() - 1
-    }
-
-    /// True without rows.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Entries of row `i`.
-    pub fn row(&self, i: usize) -> &[Tap] {
-        &self.taps[self.offsets[i] as usize..self.offsets[i + 1] as usize]
     }
 }
 

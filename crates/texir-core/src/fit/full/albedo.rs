@@ -15,12 +15,12 @@ use rayon::prelude::*;
 
 use super::observations::Observations;
 use super::palette::Palettes;
+use super::share::{Share, of_strata};
 use crate::brdf::DIELECTRIC_F0;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
-use crate::specular_table::{PackedCurve, node};
-use crate::texture::Tap;
+use crate::specular_table::{PackedCurve, STRATA, node};
 
 /// Items per task of a parallel loop,
 const BLOCK: usize = 4096;
@@ -31,7 +31,7 @@ const WIDE_BLOCK: usize = 64 * BLOCK;
 pub enum Roughness<'a> {
     /// That of one node everywhere.
     Node(usize),
-    /// One for each texel; what a pixel sees of several is what it sees of each.
+    /// One for each texel, interpolated between them.
     Texels(&'a [f32]),
 }
 
@@ -86,7 +86,7 @@ impl<'a> AlbedoProblem<'a> {
         let bright = irradiance.iter().map(|e| e.max_element()).fold(0.0, f32::max);
         let floor = Vec3A::splat((1e-6 * bright).max(f32::MIN_POSITIVE));
         let per_irradiance = |p| {
-            let e: Vec3A = seen.rows.row(p).iter().map(|tap| irradiance[tap.texel as usize] * tap.weight).sum();
+            let e: Vec3A = seen.rows.row(p).iter().map(|share| irradiance[share.texel as usize] * share.weight()).sum();
             PI / e.max(floor)
         };
         problem.per_irradiance = (0..seen.len()).into_par_iter().with_min_len(BLOCK).map(per_irradiance).collect();
@@ -101,7 +101,7 @@ impl<'a> AlbedoProblem<'a> {
             &self.seen.rows,
             Vec4::ZERO,
             |p| apparent(p).extend(1.0),
-            |sum, tap, apparent| *sum += *apparent * tap.weight,
+            |sum, share, apparent| *sum += *apparent * share.weight(),
         );
         let mean = |t: usize| (sums[t].w > 0.0).then(|| Vec3A::from_vec4(sums[t]) / sums[t].w);
         let means = self.segment_means(mean);
@@ -158,28 +158,30 @@ impl<'a> AlbedoProblem<'a> {
         match roughness {
             Roughness::Node(k) => node(*k),
             Roughness::Texels(r) => {
-                self.seen.rows.row(pixel).iter().map(|tap| r[tap.texel as usize] * tap.weight).sum()
+                self.seen.rows.row(pixel).iter().map(|share| r[share.texel as usize] * share.weight()).sum()
             }
         }
     }
 
-    /// A pixel's curve at the roughness of what it sees.
+    /// A pixel's curve at the roughness of what its strata see.
     fn along(&self, roughness: &Roughness<'_>, curve: &PackedCurve, pixel: usize) -> Vec3A {
         match roughness {
             Roughness::Node(k) => curve.at_node(*k).into(),
             Roughness::Texels(r) => {
-                let of = |tap: &Tap| r[tap.texel as usize];
-                let alike = self.seen.rows.row(pixel).chunk_by(|a, b| of(a) == of(b));
-                alike
-                    .map(|taps| taps.iter().map(|tap| tap.weight).sum::<f32>() * Vec3A::from(curve.at(of(&taps[0])).0))
-                    .sum()
+                let row = self.seen.rows.row(pixel);
+                let at = |roughness: f32| Vec3A::from(curve.at(roughness).0);
+                let of = |share: &Share| r[share.texel as usize];
+                match row {
+                    [first, others @ ..] if others.iter().all(|share| of(share) == of(first)) => at(of(first)),
+                    _ => of_strata(row, |t| r[t as usize]).map(at).iter().sum::<Vec3A>() / STRATA as f32,
+                }
             }
         }
     }
 
     /// Whether a pixel sees metal; `None` for one that sees both.
     fn is_metal(&self, pixel: usize) -> Option<bool> {
-        let mut seen = self.seen.rows.row(pixel).iter().map(|tap| self.metal[tap.texel as usize]);
+        let mut seen = self.seen.rows.row(pixel).iter().map(|share| self.metal[share.texel as usize]);
         let first = seen.next().unwrap_or(false);
         seen.all(|metal| metal == first).then_some(first)
     }
@@ -196,8 +198,9 @@ impl<'a> AlbedoProblem<'a> {
 
     /// A pixel's left-hand side.
     fn explained(&self, albedo: &[Vec3A], target: &Target, pixel: usize) -> Vec3A {
-        let of_tap = |tap: &Tap| albedo[tap.texel as usize] * self.strength(tap.texel as usize) * tap.weight;
-        self.seen.rows.row(pixel).iter().map(of_tap).sum::<Vec3A>() * self.gain(target, pixel)
+        let of_share =
+            |share: &Share| albedo[share.texel as usize] * self.strength(share.texel as usize) * share.weight();
+        self.seen.rows.row(pixel).iter().map(of_share).sum::<Vec3A>() * self.gain(target, pixel)
     }
 
     /// Left-hand side − target: the residual of a pixel, in albedo.
@@ -312,7 +315,8 @@ impl System<'_> {
     fn transposed(&self, pixel: impl Fn(usize) -> Vec3A + Sync) -> Vec<Vec3A> {
         let p = self.problem;
         let weighted = |i: usize| pixel(i) * p.gain(self.target, i) * self.weight[i];
-        let mut out = p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, tap, v| *sum += *v * tap.weight);
+        let mut out =
+            p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, share, v| *sum += *v * share.weight());
         out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| *out *= p.strength(t));
         out
     }
@@ -334,8 +338,8 @@ impl System<'_> {
     fn diagonal(&self) -> Vec<Vec3A> {
         let p = self.problem;
         let of_pixel = |i: usize| (p.gain(self.target, i), self.weight[i]);
-        let add = |sum: &mut Vec3A, tap: &Tap, (gain, weight): &(Vec3A, f32)| {
-            let row = p.strength(tap.texel as usize) * *gain * tap.weight;
+        let add = |sum: &mut Vec3A, share: &Share, (gain, weight): &(Vec3A, f32)| {
+            let row = p.strength(share.texel as usize) * *gain * share.weight();
             *sum += row * row * *weight;
         };
         let mut out = p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, of_pixel, add);

@@ -12,6 +12,7 @@ use super::albedo::{AlbedoProblem, Roughness};
 use super::lines::{Line, Paint};
 use super::local::half_at;
 use super::scan::{Tally, cost};
+use super::share::Share;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::{JointSettings, RoughnessSettings};
@@ -101,10 +102,10 @@ impl Lines {
     }
 
     /// The group that a pixel of `segment` sees most of, and its share.
-    fn seen(&self, rows: &Rows, segment: u32, pixel: usize) -> Option<(usize, f32)> {
+    fn seen(&self, rows: &Rows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
         let mut shares = [0.0; 2];
-        for tap in rows.row(pixel) {
-            self.group[tap.texel as usize].into_iter().for_each(|g| shares[g % 2] += tap.weight);
+        for share in rows.row(pixel) {
+            self.group[share.texel as usize].into_iter().for_each(|g| shares[g % 2] += share.weight());
         }
         let (side, share) = if shares[0] >= shares[1] { (0, shares[0]) } else { (1, shares[1]) };
         (segment != NONE && share > 0.0).then_some((2 * segment as usize + side, share))
@@ -112,7 +113,7 @@ impl Lines {
 
     /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's. Where that
     /// leaves too few of a segment's, all of them stay.
-    pub fn without(&self, rows: &Rows, segment: &[u32]) -> Vec<u32> {
+    pub fn without(&self, rows: &Rows<Share>, segment: &[u32]) -> Vec<u32> {
         /// The share of a segment's pixels that are enough.
         const ENOUGH: f32 = 0.25;
         let sees =
@@ -252,11 +253,11 @@ mod tests {
             regular: vec![true, false, true, false, false, false],
         };
         let pixel = |surface: u32, joint: f32| {
-            [Tap { texel: surface, weight: 1.0 - joint }, Tap { texel: surface + 1, weight: joint }]
+            let taps = vec![Tap { texel: surface, weight: 1.0 - joint }, Tap { texel: surface + 1, weight: joint }];
+            Share::of([taps.clone(), taps.clone(), taps.clone(), taps])
         };
         let pixels = [(0, 0.5), (0, 0.1), (0, 0.0), (2, 0.3), (2, 0.4), (4, 0.9), (0, 0.3)];
-        let taps: Vec<Tap> = pixels.iter().flat_map(|(surface, joint)| pixel(*surface, *joint)).collect();
-        let rows = Rows { offsets: (0..=pixels.len() as u32).map(|p| 2 * p).collect(), taps };
+        let rows = Rows::from_lists(pixels.map(|(surface, joint)| pixel(surface, joint)));
         // The last shows an edge, and counts for nothing anyway. No pixel of segment 1 is without its joint, so that all stay.
         let segment = [0, 0, 0, 1, 1, 2, NONE];
         assert_eq!(lines.without(&rows, &segment), [NONE, 0, 0, 1, 1, 2, NONE]);

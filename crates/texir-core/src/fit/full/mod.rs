@@ -25,6 +25,7 @@ mod reflections;
 pub mod regular;
 pub mod scan;
 pub mod segments;
+pub mod share;
 pub mod variation;
 
 use std::f32::consts::PI;
@@ -293,8 +294,8 @@ fn roughness_of_segments(
 /// The texel that each pixel sees most of; [`NONE`] for pixels of no segment, which do not count.
 fn heaviest(seen: &Observations, segment: &[u32]) -> Vec<u32> {
     let of_pixel = |(p, segment): (usize, &u32)| {
-        let heaviest = seen.rows.row(p).iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
-        heaviest.filter(|_| *segment != NONE).map_or(NONE, |tap| tap.texel)
+        let heaviest = seen.rows.row(p).iter().max_by(|a, b| a.weight().total_cmp(&b.weight()));
+        heaviest.filter(|_| *segment != NONE).map_or(NONE, |share| share.texel)
     };
     segment.par_iter().enumerate().map(of_pixel).collect()
 }

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::bands::Bands;
 use super::blocks::{self, AXIS, Patch};
 use super::reflections::{self, Mirror};
+use super::share::Share;
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::brdf::DIELECTRIC_F0;
@@ -22,7 +23,7 @@ use crate::raster::{Mask, Raster};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, PackedCurve, STRATA};
 use crate::surface::Hit;
-use crate::texture::{Rows, Tap, merge};
+use crate::texture::Rows;
 
 /// The smallest n·v that areas are told at.
 const GRAZING: f32 = 0.05;
@@ -46,7 +47,7 @@ pub struct Observations {
     /// which of them each pixel is part of.
     pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
-    pub rows: Rows,
+    pub rows: Rows<Share>,
     /// Which pixels see what part of the atlas.
     pub bands: Bands,
     /// Whether a pixel sees it, of each texel.
@@ -70,7 +71,7 @@ impl Observations {
     pub fn index(&mut self, texels: usize) {
         self.bands = Bands::new(&self.rows, texels);
         self.is_seen = vec![false; texels];
-        self.rows.taps.iter().for_each(|tap| self.is_seen[tap.texel as usize] = true);
+        self.rows.taps.iter().for_each(|share| self.is_seen[share.texel as usize] = true);
     }
 
     /// Specular radiance of pixel `p` by roughness, if it shows a dielectric.
@@ -107,7 +108,7 @@ impl Observer<'_> {
             * u64::from(self.settings.sampling(self.seed, 0).rays());
         progress.start("light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
-        let mut all = Observations { rows: Rows { offsets: vec![0], taps: Vec::new() }, ..Observations::default() };
+        let mut all = Observations::default();
         for view in views {
             self.observe_one(backend, view, &index, &mut all, progress)?;
         }
@@ -134,13 +135,13 @@ impl Observer<'_> {
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let strata = Strata::new(backend, &view.camera)?;
-        let pixels: Vec<(usize, Vec<Tap>)> = (0..view.camera.pixels())
+        let pixels: Vec<(usize, Vec<Share>)> = (0..view.camera.pixels())
             .into_par_iter()
             .filter(|&pixel| usable.data[pixel])
             .filter_map(|pixel| Some((pixel, strata.texels(pixel, index, self.emitters)?)))
             .collect();
         let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
-        let seen_by = |&(pixel, _): &(usize, Vec<Tap>)| {
+        let seen_by = |&(pixel, _): &(usize, Vec<Share>)| {
             let points = strata.points(pixel);
             let cosines = points.each_ref().map(ShadePoint::cosine);
             let cosine = cosines.iter().sum::<f32>() / STRATA as f32;
@@ -184,12 +185,11 @@ impl Observer<'_> {
             all.least_cosine.push(least_cosine);
             all.area.push(area);
         }
-        for (pixel, taps) in &pixels {
-            all.radiance.push(Vec3A::from(image.data[*pixel]));
-            all.rows.taps.extend(taps);
-            all.rows.offsets.push(all.rows.taps.len() as u32);
-        }
         all.views.push(pixels.len());
+        for (pixel, shares) in pixels {
+            all.radiance.push(Vec3A::from(image.data[pixel]));
+            all.rows.push(shares);
+        }
         Ok(())
     }
 }
@@ -216,17 +216,16 @@ impl Strata {
     }
 
     /// Shares of the texels that a pixel shows; `None` where it shows none, or a light source even in part.
-    fn texels(&self, pixel: usize, index: &TexelIndex, emitters: &Mask) -> Option<Vec<Tap>> {
+    fn texels(&self, pixel: usize, index: &TexelIndex, emitters: &Mask) -> Option<Vec<Share>> {
         let mesh = &self.scene.mesh;
         let seen = self.of(pixel).map(|s| &self.hits[s]);
         let lit = |hit: &Hit| hit.is_hit() && emitters.data[emitters.nearest(hit.uv(mesh))];
         if seen.iter().any(|hit| lit(hit)) {
             return None;
         }
-        let mut taps: Vec<Tap> =
-            seen.iter().filter(|h| h.is_hit()).flat_map(|hit| index.bilinear(hit.uv(mesh))).collect();
-        merge(&mut taps);
-        (!taps.is_empty()).then_some(taps)
+        let of_stratum = |hit: &Hit| if hit.is_hit() { index.bilinear(hit.uv(mesh)).collect() } else { Vec::new() };
+        let shares = Share::of(seen.map(of_stratum));
+        (!shares.is_empty()).then_some(shares)
     }
 
     /// The points that a pixel shows. A stratum that misses the mesh is stood in for by one that does not: there has to be one.

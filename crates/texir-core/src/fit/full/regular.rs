@@ -47,8 +47,8 @@ impl Paint<'_> {
             let of_piece = |piece: &Piece| {
                 let first = piece.iter().map(|(_, at)| at[axis]).min()?;
                 let row = |at: &[i32; 2]| (at[axis] - first) as usize;
-                let (line, comb) =
-                    Profile::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least).lines(away as f32)?;
+                let (line, comb) = Profile::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least)
+                    .lines(away as f32)?;
                 let on = piece.iter().filter(|(_, at)| comb.distance(row(at) as f32) < comb.half_width);
                 Some((line, on.map(|(t, _)| *t).collect::<Vec<u32>>()))
             };

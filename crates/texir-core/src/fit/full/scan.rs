@@ -250,7 +250,7 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
     (0..problem.seen.len())
         .into_par_iter()
         .map(|p| {
-            let mut seen = problem.seen.rows.row(p).iter().map(|tap| segments[tap.texel as usize]);
+            let mut seen = problem.seen.rows.row(p).iter().map(|share| segments[share.texel as usize]);
             let first = seen.next().unwrap_or(NONE);
             if problem.seen.least_cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
         })

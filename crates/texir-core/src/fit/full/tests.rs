@@ -9,6 +9,7 @@ use super::hierarchy::{Parent, settle};
 use super::joints::{self, Joint, Judges, Lines};
 use super::observations::Observations;
 use super::scan::{Evidence, cost, minimum, scan};
+use super::share::Share;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::Masking;
@@ -77,7 +78,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let gather = Gather::new(1024, 1024, 3);
     let irradiance: Vec<Vec3A> =
         backend.irradiance(&atlas.points, gather, &Silent).unwrap().iter().map(|g| Vec3A::from(g.irradiance)).collect();
-    let mut seen = Observations { rows: Rows { offsets: vec![0], taps: vec![] }, ..Observations::default() };
+    let mut seen = Observations::default();
     let mut strata: Vec<[ShadePoint; STRATA]> = Vec::new();
     for view in 0..8 {
         let angle = view as f32 / 8.0 * std::f32::consts::TAU;
@@ -100,8 +101,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
             seen.cosine.push(to_camera.z);
             seen.least_cosine.push(to_camera.z);
             seen.area.push(1.0);
-            seen.rows.taps.push(Tap { texel: t as u32, weight: 1.0 });
-            seen.rows.offsets.push(seen.rows.taps.len() as u32);
+            seen.rows.push(Share::of(std::array::from_fn(|_| vec![Tap { texel: t as u32, weight: 1.0 }])));
         }
     }
     let points: Vec<ShadePoint> = strata.iter().map(|s| s[0]).collect();
@@ -268,6 +268,39 @@ fn least_squares_recovers_albedo_beside_highlights() {
     let (right, wrong) = (error(0.3), error(0.9));
     // Negative control: at the wrong roughness highlights stay in the albedo, as far as robust weights let them.
     assert!(right < 0.005 && wrong > 2.0 * right, "{right} {wrong}");
+}
+
+#[test]
+fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roughness() {
+    let mut toy = toy(|_| Vec3A::splat(0.5), 0.3, 1.0);
+    let [smooth, rough] = [toy.seen.rows.row(0)[0].texel, toy.seen.rows.row(1)[0].texel];
+    let roughness: Vec<f32> = (0..toy.segment.len()).map(|t| if t == rough as usize { 0.8 } else { 0.1 }).collect();
+    let sees = |texel| Tap { texel, weight: 1.0 };
+    // Pixels of half of each: between both, and across a sharp edge.
+    let between = Share::of(std::array::from_fn(|_| vec![sees(smooth), sees(rough)]));
+    let across = Share::of([smooth, smooth, rough, rough].map(|t| vec![sees(t)]));
+    let brightest = |toy: &Toy| {
+        let at = |p: &usize| toy.seen.curve(*p).at(0.1).0[0];
+        (0..toy.seen.len()).max_by(|a, b| at(a).total_cmp(&at(b))).unwrap()
+    };
+    let pixel = brightest(&toy);
+    let mut apparent = |shares: Vec<Share>| {
+        let mut row = Some(shares);
+        let rows =
+            (0..toy.seen.len()).map(|p| if p == pixel { row.take().unwrap() } else { toy.seen.rows.row(p).to_vec() });
+        toy.seen.rows = Rows::from_lists(rows.collect::<Vec<_>>());
+        let problem = toy.problem(&AlbedoSettings::default());
+        let said = problem.target(&Roughness::Texels(&roughness)).albedo[pixel];
+        (problem.seen.radiance[pixel] - said / problem.per_irradiance[pixel])[0]
+    };
+    let reflected = [apparent(between), apparent(across)];
+    let [mean, smooth, rough] = [0.45, 0.1, 0.8].map(|r| toy.seen.curve(pixel).at(r).0[0]);
+    let expected = [mean, 0.5 * (smooth + rough)];
+    for (reflected, expected) in reflected.into_iter().zip(expected) {
+        assert!((reflected - expected).abs() < 0.01 * expected, "{reflected} {expected}");
+    }
+    // Which is not the same.
+    assert!(expected[1] > 2.0 * expected[0]);
 }
 
 #[test]

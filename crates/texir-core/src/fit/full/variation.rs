@@ -30,6 +30,6 @@ pub fn told(problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<bool> {
     let mut told = vec![false; problem.segment.0.len()];
     let rows = &problem.seen.rows;
     let saying = (0..segment.len()).filter(|p| segment[*p] != NONE);
-    saying.flat_map(|p| rows.row(p)).for_each(|tap| told[tap.texel as usize] = true);
+    saying.flat_map(|p| rows.row(p)).for_each(|share| told[share.texel as usize] = true);
     told
 }
