@@ -7,15 +7,21 @@
 use crate::specular_table::STRATA;
 use crate::texture::Tap;
 
-/// All that a stratum sees, in units of a share.
-const ALL: u8 = u8::MAX;
+/// Units that the weights of a pixel have in all. Fewer would show: what albedo explains to a thousandth tells roughness.
+const OF_PIXEL: u16 = u16::MAX;
+/// Units that a stratum has in all, in bits,
+const BITS: usize = 4;
+/// and as a number.
+const OF_STRATUM: u16 = (1 << BITS) - 1;
+const _: () = assert!(STRATA * BITS <= u16::BITS as usize, "strata do not fit");
 
-/// What the strata of a pixel see of a texel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// What a pixel, and each of its strata, sees of a texel.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
     /// Index into [`Atlas::texels`](crate::atlas::Atlas::texels).
     pub texel: u32,
-    of_strata: [u8; STRATA],
+    of_pixel: u16,
+    of_strata: u16,
 }
 
 impl Share {
@@ -23,51 +29,51 @@ impl Share {
     /// is stood in for by the first that does; nothing if none does.
     pub fn of(strata: [Vec<Tap>; STRATA]) -> Vec<Self> {
         let Some(first) = strata.iter().find(|taps| !taps.is_empty()) else { return Vec::new() };
-        let mut shares = Vec::new();
-        for (stratum, own) in strata.iter().enumerate() {
-            let taps = if own.is_empty() { first } else { own };
-            for (tap, units) in taps.iter().zip(units(taps)) {
-                let mut share = Self { texel: tap.texel, ..Self::default() };
-                share.of_strata[stratum] = units;
-                shares.push(share);
-            }
-        }
-        shares.sort_unstable_by_key(|share| share.texel);
-        shares.dedup_by(|next, kept| {
-            let same = next.texel == kept.texel;
-            if same {
-                kept.of_strata.iter_mut().zip(next.of_strata).for_each(|(kept, next)| *kept += next);
-            }
-            same
-        });
-        shares.retain(|share| share.of_strata != [0; STRATA]);
-        shares
+        let strata = strata.each_ref().map(|taps| if taps.is_empty() { first } else { taps });
+        let mut texels: Vec<u32> = strata.iter().flat_map(|taps| taps.iter().map(|tap| tap.texel)).collect();
+        texels.sort_unstable();
+        texels.dedup();
+        let of_stratum = |taps: &Vec<Tap>| -> Vec<f32> {
+            let all: f32 = taps.iter().map(|tap| tap.weight).sum();
+            let of = |texel: &u32| taps.iter().filter(|tap| tap.texel == *texel).map(|tap| tap.weight).sum::<f32>();
+            texels.iter().map(|texel| of(texel) / all).collect()
+        };
+        let strata = strata.map(of_stratum);
+        let mean: Vec<f32> =
+            (0..texels.len()).map(|i| strata.iter().map(|weights| weights[i]).sum::<f32>() / STRATA as f32).collect();
+        let (of_pixel, of_strata) = (units(&mean, OF_PIXEL), strata.map(|weights| units(&weights, OF_STRATUM)));
+        let share = |(i, texel): (usize, &u32)| Self {
+            texel: *texel,
+            of_pixel: of_pixel[i],
+            of_strata: of_strata.iter().fold(0, |packed, units| packed << BITS | units[i]),
+        };
+        texels.iter().enumerate().map(share).filter(|share| share.of_pixel > 0).collect()
     }
 
     /// That of the whole pixel.
     pub fn weight(&self) -> f32 {
-        let units: u16 = self.of_strata.iter().map(|units| u16::from(*units)).sum();
-        f32::from(units) / f32::from(STRATA as u16 * u16::from(ALL))
+        f32::from(self.of_pixel) / f32::from(OF_PIXEL)
     }
 }
 
-/// What each stratum of a pixel shows of a value that texels have, interpolated.
+/// What each stratum of a pixel shows of a value that texels have, interpolated to a fifteenth.
 pub fn of_strata(shares: &[Share], value: impl Fn(u32) -> f32) -> [f32; STRATA] {
     let mut sums = [0.0; STRATA];
     for share in shares {
         let value = value(share.texel);
-        sums.iter_mut().zip(share.of_strata).for_each(|(sum, units)| *sum += f32::from(units) * value);
+        for (stratum, sum) in sums.iter_mut().rev().enumerate() {
+            *sum += f32::from(share.of_strata >> (stratum * BITS) & OF_STRATUM) * value;
+        }
     }
-    sums.map(|sum| sum / f32::from(ALL))
+    sums.map(|sum| sum / f32::from(OF_STRATUM))
 }
 
-/// The weights of taps in whole units, [`ALL`] together: what rounding is off by goes to the heaviest.
-fn units(taps: &[Tap]) -> Vec<u8> {
-    let all: f32 = taps.iter().map(|tap| tap.weight).sum();
-    let mut units: Vec<u8> = taps.iter().map(|tap| (tap.weight / all * f32::from(ALL)).round() as u8).collect();
-    let off = i32::from(ALL) - units.iter().map(|units| i32::from(*units)).sum::<i32>();
+/// Weights, which sum to 1, in whole units, `all` together: what rounding is off by goes to the heaviest.
+fn units(weights: &[f32], all: u16) -> Vec<u16> {
+    let mut units: Vec<u16> = weights.iter().map(|weight| (weight * f32::from(all)).round() as u16).collect();
+    let off = i32::from(all) - units.iter().map(|units| i32::from(*units)).sum::<i32>();
     if let Some(heaviest) = units.iter_mut().max() {
-        *heaviest = (i32::from(*heaviest) + off) as u8;
+        *heaviest = (i32::from(*heaviest) + off) as u16;
     }
     units
 }
@@ -89,17 +95,19 @@ mod tests {
                 std::array::from_fn(|s| (0..4).map(|k| tap(s as u32 / 2 + k, random(4 * s as u32 + k))).collect());
             let shares = Share::of(strata.clone());
             assert!(shares.is_sorted_by(|a, b| a.texel < b.texel));
-            assert_eq!(shares.iter().map(Share::weight).sum::<f32>(), 1.0);
-            let value = |texel: u32| 1.0 + texel as f32;
-            for (found, taps) in of_strata(&shares, value).into_iter().zip(&strata) {
-                let [sum, all] = taps
-                    .iter()
-                    .fold([0.0; 2], |[sum, all], tap| [sum + tap.weight * value(tap.texel), all + tap.weight]);
-                assert!((found - sum / all).abs() < 0.02, "{found} {}", sum / all);
+            let sum: f32 = shares.iter().map(Share::weight).sum();
+            assert!((sum - 1.0).abs() < 1e-6, "{sum}");
+            // Of values from 0 to 1, over six texels.
+            let value = |texel: u32| 0.2 * texel as f32;
+            let exact = strata.each_ref().map(|taps| {
+                let sum: f32 = taps.iter().map(|tap| tap.weight * value(tap.texel)).sum();
+                sum / taps.iter().map(|tap| tap.weight).sum::<f32>()
+            });
+            for (found, exact) in of_strata(&shares, value).into_iter().zip(exact) {
+                assert!((found - exact).abs() < 0.06, "{found} {exact}");
             }
-            let mean = of_strata(&shares, value).iter().sum::<f32>() / STRATA as f32;
             let weighed: f32 = shares.iter().map(|share| share.weight() * value(share.texel)).sum();
-            assert!((mean - weighed).abs() < 1e-5);
+            assert!((weighed - exact.iter().sum::<f32>() / STRATA as f32).abs() < 5e-5);
         }
     }
 
@@ -108,6 +116,7 @@ mod tests {
         let sees = |texel| vec![tap(texel, 0.3)];
         let shares = Share::of([vec![], sees(7), sees(3), vec![]]);
         assert_eq!(of_strata(&shares, |texel| texel as f32), [7.0, 7.0, 3.0, 7.0]);
+        assert_eq!(shares.iter().map(|share| (share.weight() * STRATA as f32).round()).collect::<Vec<_>>(), [1.0, 3.0]);
         assert_eq!(Share::of(Default::default()), []);
     }
 }
