@@ -289,7 +289,8 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
         let rows =
             (0..toy.seen.len()).map(|p| if p == pixel { row.take().unwrap() } else { toy.seen.rows.row(p).to_vec() });
         toy.seen.rows = Rows::from_lists(rows.collect::<Vec<_>>());
-        let problem = toy.problem(&AlbedoSettings::default());
+        let settings = AlbedoSettings::default();
+        let problem = toy.problem(&settings);
         let said = problem.target(&Roughness::Texels(&roughness)).albedo[pixel];
         (problem.seen.radiance[pixel] - said / problem.per_irradiance[pixel])[0]
     };
