@@ -275,15 +275,12 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
     let mut toy = toy(|_| Vec3A::splat(0.5), 0.3, 1.0);
     let [smooth, rough] = [toy.seen.rows.row(0)[0].texel, toy.seen.rows.row(1)[0].texel];
     let roughness: Vec<f32> = (0..toy.segment.len()).map(|t| if t == rough as usize { 0.8 } else { 0.1 }).collect();
-    let sees = |texel| Tap { texel, weight: 1.0 };
-    // Pixels of half of each: between both, and across a sharp edge.
-    let between = Share::of(std::array::from_fn(|_| vec![sees(smooth), sees(rough)]));
-    let across = Share::of([smooth, smooth, rough, rough].map(|t| vec![sees(t)]));
-    let brightest = |toy: &Toy| {
-        let at = |p: &usize| toy.seen.curve(*p).at(0.1).0[0];
-        (0..toy.seen.len()).max_by(|a, b| at(a).total_cmp(&at(b))).unwrap()
-    };
-    let pixel = brightest(&toy);
+    let sees = |texel, weight| Tap { texel, weight };
+    // A pixel between both, nearer to the rough one by a share that is kept exactly; and one across a sharp edge.
+    let between = Share::of(std::array::from_fn(|_| vec![sees(smooth, 1.0), sees(rough, 2.0)]));
+    let across = Share::of([smooth, rough, rough, rough].map(|t| vec![sees(t, 1.0)]));
+    let highlight = |p: &usize| toy.seen.curve(*p).at(0.1).0[0];
+    let pixel = (0..toy.seen.len()).max_by(|a, b| highlight(a).total_cmp(&highlight(b))).unwrap();
     let mut apparent = |shares: Vec<Share>| {
         let mut row = Some(shares);
         let rows =
@@ -295,13 +292,14 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
         (problem.seen.radiance[pixel] - said / problem.per_irradiance[pixel])[0]
     };
     let reflected = [apparent(between), apparent(across)];
-    let [mean, smooth, rough] = [0.45, 0.1, 0.8].map(|r| toy.seen.curve(pixel).at(r).0[0]);
-    let expected = [mean, 0.5 * (smooth + rough)];
+    let at = |roughness| toy.seen.curve(pixel).at(roughness).0[0];
+    let mixed = |smooth: f32| smooth * at(0.1) + (1.0 - smooth) * at(0.8);
+    let expected = [at((0.1 + 2.0 * 0.8) / 3.0), mixed(0.25)];
     for (reflected, expected) in reflected.into_iter().zip(expected) {
         assert!((reflected - expected).abs() < 0.01 * expected, "{reflected} {expected}");
     }
-    // Which is not the same.
-    assert!(expected[1] > 2.0 * expected[0]);
+    // Negative control: what the texels reflect, by their shares, is another thing.
+    assert!(mixed(1.0 / 3.0) > 2.0 * expected[0]);
 }
 
 #[test]
