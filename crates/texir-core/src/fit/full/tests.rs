@@ -514,10 +514,15 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     assert_eq!(by(&alone, &evidence(&halves, 1.0, 0.4), &settings), [0.2; 1024]);
 }
 
+/// What pixels of one segment say, each as much as any other.
+fn of_one_segment(cost: Vec<[half::f16; NODES]>) -> Evidence {
+    let pixels = cost.len();
+    Evidence { segment: vec![0; pixels], cost, say: vec![1.0; pixels], slope: vec![], variation: vec![] }
+}
+
 #[test]
 fn the_blocks_of_a_face_speak_for_each_other() {
     use super::local::{Surface, refine};
-    use super::scan::Evidence;
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
     // Two walls of 10 blocks: one of 0.1, of which two blocks look like the other's 0.4 to both halves of the views.
@@ -530,13 +535,7 @@ fn the_blocks_of_a_face_speak_for_each_other() {
         let depth = if (6..12).contains(&column(t)) { 0.06 } else { 0.5 };
         std::array::from_fn(|k| half::f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
     };
-    let evidence = Evidence {
-        segment: vec![0; texels.len()],
-        cost: texels.iter().map(cost).collect(),
-        say: vec![1.0; texels.len()],
-        slope: vec![],
-        variation: vec![],
-    };
+    let evidence = of_one_segment(texels.iter().map(cost).collect());
     let by_face = |face: &[u32]| {
         let half: Vec<u8> = texels.iter().map(|t| (t % 2) as u8).collect();
         let segment = vec![0; texels.len()];
@@ -558,7 +557,6 @@ fn the_blocks_of_a_face_speak_for_each_other() {
 #[test]
 fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
     use super::local::{Surface, refine};
-    use super::scan::Evidence;
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
     // 0.1 on the left, 0.3 on the right; what pixels see of every third column is twice as rough, for the joint in it.
@@ -569,13 +567,7 @@ fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
         let truth = if t % WIDTH < 32 { 0.1f32 } else { 0.3 } * if is_joint(t) { 2.0 } else { 1.0 };
         std::array::from_fn(|k| half::f16::from_f32(0.1 + (node(k) / truth).ln().powi(2).min(1.0)))
     };
-    let evidence = Evidence {
-        segment: vec![0; texels.len()],
-        cost: texels.iter().map(cost).collect(),
-        say: vec![1.0; texels.len()],
-        slope: vec![],
-        variation: vec![],
-    };
+    let evidence = of_one_segment(texels.iter().map(cost).collect());
     let refined = |counts: &dyn Fn(u32) -> bool| {
         let half: Vec<u8> = texels.iter().map(|t| ((t % WIDTH + t / WIDTH) % 2) as u8).collect();
         let segment = vec![0; texels.len()];
@@ -605,7 +597,7 @@ fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
 
 #[test]
 fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
-    use super::scan::{Evidence, say};
+    use super::scan::say;
     use crate::specular_table::{NODES, nearest_node, node};
     // 300 pixels of 1 cm² from beside, three of 100 cm² from afar: as much surface, a tenth of the say.
     let area: Vec<f32> = (0..303).map(|p| if p < 300 { 1e-4 } else { 1e-2 }).collect();
@@ -617,13 +609,7 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
         std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
     };
     let settled = |say: Vec<f32>| {
-        let evidence = Evidence {
-            segment: vec![0; 303],
-            cost: (0..303).map(cost).collect(),
-            say,
-            slope: vec![],
-            variation: vec![],
-        };
+        let evidence = Evidence { say, ..of_one_segment((0..303).map(cost).collect()) };
         nearest_node(settle(&evidence.by_group(&evidence.segment, 1), &[[]])[0])
     };
     assert!(settled(say) < nearest_node(0.2));
