@@ -5,19 +5,19 @@ pub mod compare;
 pub mod gltf;
 pub mod scenes;
 
-use std::sync::Once;
+use std::sync::OnceLock;
 
 use texir_gpu::Gpu;
 
-/// The device to test on: `TEXIR_ADAPTER` names one, otherwise the best. Logs which. Having none is a failure.
+/// The device to test on, one for all tests of a program: `TEXIR_ADAPTER` names it, otherwise the best. Logs which. Having none
+/// is a failure.
 pub fn gpu() -> Gpu {
-    static LOG: Once = Once::new();
-    let wanted = std::env::var("TEXIR_ADAPTER").ok();
-    match Gpu::headless(wanted.as_deref()) {
-        Ok(gpu) => {
-            LOG.call_once(|| eprintln!("adapter: {}", gpu.describe()));
-            gpu
-        }
-        Err(e) => panic!("the GPU tests cannot run: {e}"),
-    }
+    static SHARED: OnceLock<Gpu> = OnceLock::new();
+    let open = || {
+        let wanted = std::env::var("TEXIR_ADAPTER").ok();
+        let gpu = Gpu::headless(wanted.as_deref()).unwrap_or_else(|e| panic!("the GPU tests cannot run: {e}"));
+        eprintln!("adapter: {}", gpu.describe());
+        gpu
+    };
+    SHARED.get_or_init(open).clone()
 }

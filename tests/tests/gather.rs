@@ -247,6 +247,28 @@ fn the_same_call_gives_the_same_bits_however_it_is_cut() {
     assert!(whole[777..] == shade(&mut fresh, 777)[..]);
 }
 
+#[test]
+fn threads_share_a_device_with_each_other_and_with_their_host() {
+    let gpu = gpu();
+    let scene = room();
+    let points = points(&scene, 64);
+    let gather = Gather::new(64, 0, 4);
+    let alone = lit(&gpu, &scene).irradiance(&points, gather, &Silent).unwrap();
+    std::thread::scope(|threads| {
+        let gathering = || {
+            let mut backend = lit(&gpu, &scene);
+            (0..50).all(|_| backend.irradiance(&points, gather, &Silent).unwrap() == alone)
+        };
+        let gathering = [(); 3].map(|()| threads.spawn(gathering));
+        // As a renderer does between its frames.
+        while gathering.iter().any(|thread| !thread.is_finished()) {
+            gpu.device().poll(texir_gpu::wgpu::PollType::Poll).unwrap();
+            std::thread::yield_now();
+        }
+        assert_eq!(gathering.map(|thread| thread.join().unwrap()), [true; 3]);
+    });
+}
+
 /// Counts what it is told, and cancels after a number of rays.
 struct Counter {
     rays: AtomicU64,

@@ -14,7 +14,7 @@ use crate::image_io::{read_gray, read_rgb};
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
-use crate::render::{Renderer, Surfaces, Textures};
+use crate::render::{Mipmapped, Renderer, Surfaces, Textures};
 
 /// MSE below which PSNR stops growing (120 dB): below what `f32` images resolve, and finite in JSON.
 const MSE_FLOOR: f64 = 1e-12;
@@ -198,12 +198,12 @@ pub fn evaluate(
         let observed = Observed::load(view, progress)?;
         let rendered = match &mut ceiling {
             Some(ceiling) => {
-                let each = [textures, ceiling.textures];
+                let each = [&result.textures, &ceiling.textures];
                 let [rendered, best] = renderer.render_each(&view.camera, each, progress)?;
                 ceiling.evaluate(renderer, view, &observed, best)?;
                 rendered
             }
-            None => renderer.render(&view.camera, textures, progress)?,
+            None => renderer.render(&view.camera, &result.textures, progress)?,
         };
         let shown = result.evaluate(renderer, view, &observed, rendered)?;
         show(&Evaluated {
@@ -258,7 +258,7 @@ impl Observed {
 
 /// Textures under evaluation, and their figures so far, in the order of the views.
 struct Subject<'a> {
-    textures: &'a Textures,
+    textures: Mipmapped<'a>,
     global_scale: Option<f64>,
     views: Vec<Scores>,
 }
@@ -271,11 +271,12 @@ impl<'a> Subject<'a> {
         textures: &'a Textures,
         progress: &dyn Progress,
     ) -> Result<Self> {
+        let textures = renderer.mipmapped(textures)?;
         let mut sums = AlbedoSums::default();
         for view in &capture.views {
             progress.check()?;
             if let Some(truth) = view.load_albedo()? {
-                let surfaces = renderer.surfaces(&view.camera, textures)?;
+                let surfaces = renderer.surfaces(&view.camera, &textures)?;
                 let mask = view.load_mask()?.unwrap_or_else(|| surfaces.reflective());
                 sums.add(AlbedoSums::of(&surfaces.albedo, &truth, &mask));
             }
@@ -291,7 +292,7 @@ impl<'a> Subject<'a> {
         observed: &Observed,
         rendered: Rgb,
     ) -> Result<SubjectView> {
-        let surfaces = renderer.surfaces(&view.camera, self.textures)?;
+        let surfaces = renderer.surfaces(&view.camera, &self.textures)?;
         let mask = observed.mask.clone().unwrap_or_else(|| surfaces.reflective());
         let albedo_scale =
             observed.albedo.as_ref().and_then(|truth| AlbedoSums::of(&surfaces.albedo, truth, &mask).scale());

@@ -1,7 +1,10 @@
 //! Views of a scene with given textures: what `render`, `eval` and `report` look at.
 //!
-//! primary hits → material at every pixel centre ([`Renderer::surfaces`]); primary hits of sub-pixels → trilinear footprints →
-//! specular radiance from tables over roughness, diffuse radiance and emission, averaged ([`Renderer::render`]).
+//! textures → their mip levels ([`Renderer::mipmapped`]); primary hits → material at every pixel centre ([`Renderer::surfaces`]);
+//! primary hits of sub-pixels → trilinear footprints → specular radiance from tables over roughness, diffuse radiance and
+//! emission, averaged ([`Renderer::render`]).
+
+mod mipmapped;
 
 use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
@@ -23,9 +26,12 @@ use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::Hit;
-use crate::texture::{Pyramid, Rows};
+use crate::texture::{Footprint, Pyramid};
 
-/// Pixels, or sub-pixels, worked on at a time, but at least a row: bounds hits, footprints and the backend's buffers (about
+pub use mipmapped::Mipmapped;
+use mipmapped::Seen;
+
+/// Pixels, or sub-pixels, worked on at a time, but at least a row: bounds hits, points and the backend's buffers (about
 /// 100 MB) whatever the size of the view.
 const CHUNK: usize = 1 << 18;
 
@@ -98,7 +104,7 @@ pub struct Renderer<'a> {
     /// Rays per stratum.
     rays: u32,
     seed: u32,
-    pyramids: Vec<Pyramid>,
+    pyramids: Vec<Arc<Pyramid>>,
 }
 
 impl<'a> Renderer<'a> {
@@ -130,30 +136,39 @@ impl<'a> Renderer<'a> {
         camera.pixels() as u64 * u64::from(self.rays_per_pixel())
     }
 
+    /// Textures ready to be seen in views, which cost a third of their memory more.
+    pub fn mipmapped<'t>(&mut self, textures: &'t Textures) -> Result<Mipmapped<'t>> {
+        Mipmapped::new(textures, |size| self.pyramid(size))
+    }
+
     /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
-    pub fn surfaces(&mut self, camera: &Camera, textures: &Textures) -> Result<Surfaces> {
+    pub fn surfaces(&mut self, camera: &Camera, textures: &Mipmapped<'_>) -> Result<Surfaces> {
         indexable(camera)?;
-        let mut hits = Vec::with_capacity(camera.pixels());
-        let mut all = Values::default();
-        for rows in bands(camera.height, camera.width) {
-            let band = Band { hits: self.backend.primary(camera, rows.clone())?, first: rows.start * camera.width };
-            let pixels: Vec<u32> = (rows.start * camera.width..rows.end * camera.width).map(|i| i as u32).collect();
-            let seen = SeenPixels { camera, band: &band, pixels: &pixels, filter: Filter::Point };
-            all.append(self.look_up_all(&seen, textures)?);
-            hits.extend(band.hits);
-        }
         let (width, height) = (camera.width, camera.height);
-        Ok(Surfaces {
-            hits,
-            albedo: Raster::new(width, height, all.albedo)?,
-            roughness: Raster::new(width, height, all.roughness)?,
-            irradiance: Raster::new(width, height, all.irradiance)?,
-            emission: Raster::new(width, height, all.emission)?,
-        })
+        let mut surfaces = Surfaces {
+            hits: Vec::with_capacity(camera.pixels()),
+            albedo: Rgb::filled(width, height, [0.0; 3]),
+            roughness: Gray::filled(width, height, 0.0),
+            irradiance: Rgb::filled(width, height, [0.0; 3]),
+            emission: Rgb::filled(width, height, [0.0; 3]),
+        };
+        for rows in bands(height, width) {
+            surfaces.hits.extend(self.backend.primary(camera, rows)?);
+        }
+        let mesh = &self.scene.mesh;
+        let seen = |hit: &Hit| hit.is_hit().then(|| textures.at(&Footprint::centre(mesh, hit))).unwrap_or_default();
+        let seen: Vec<Seen> = surfaces.hits.par_iter().map(seen).collect();
+        for (i, seen) in seen.into_iter().enumerate() {
+            surfaces.albedo.data[i] = seen.albedo;
+            surfaces.roughness.data[i] = seen.roughness;
+            surfaces.irradiance.data[i] = seen.irradiance;
+            surfaces.emission.data[i] = seen.emission;
+        }
+        Ok(surfaces)
     }
 
     /// The view's radiance. Advances `progress` by [`Renderer::rays`]; the caller starts and finishes the task.
-    pub fn render(&mut self, camera: &Camera, textures: &Textures, progress: &dyn Progress) -> Result<Rgb> {
+    pub fn render(&mut self, camera: &Camera, textures: &Mipmapped<'_>, progress: &dyn Progress) -> Result<Rgb> {
         let [radiance] = self.render_each(camera, [textures], progress)?;
         Ok(radiance)
     }
@@ -162,133 +177,75 @@ impl<'a> Renderer<'a> {
     pub fn render_each<const N: usize>(
         &mut self,
         camera: &Camera,
-        textures: [&Textures; N],
+        textures: [&Mipmapped<'_>; N],
         progress: &dyn Progress,
     ) -> Result<[Rgb; N]> {
         let fine = camera.supersampled(SUB_PIXELS);
         indexable(&fine)?;
-        let is_metal = |of: &&Textures| of.metallic.as_ref().is_some_and(|map| map.data.iter().any(|m| *m > 0.0));
-        let metals = textures.iter().any(is_metal);
+        let metals = textures.iter().any(|textures| textures.is_metal());
         let mut radiance = [(); N].map(|()| Rgb::filled(camera.width, camera.height, [0.0; 3]));
         for rows in bands(camera.height, ALL.len() * camera.width) {
             progress.check()?;
             let first = rows.start * SUB_PIXELS * fine.width;
             let hits = self.backend.primary(&fine, rows.start * SUB_PIXELS..rows.end * SUB_PIXELS)?;
-            let band = Band { hits, first };
+            let scene = self.scene.clone();
+            let band = Band { mesh: &scene.mesh, camera: &fine, hits, first };
             let pixels = rows.start * camera.width..rows.end * camera.width;
-            let of = |which| sub_pixels(&fine, pixels.clone(), which).filter(|&i| band.hit(i as usize).is_hit());
-            let strata: Vec<u32> = of(&STRATUM).collect();
-            let points: Vec<[ShadePoint; STRATA]> = strata
-                .par_iter()
-                .map(|&i| [ShadePoint::new(&self.scene.mesh, &fine, i, &band.hit(i as usize), [0.0; 3]); STRATA])
-                .collect();
-            // Unasked-for rays are not counted: they depend on the textures.
-            let white_points = if metals { &points[..] } else { &[] };
+            let of = |which| sub_pixels(&fine, pixels.clone(), which).filter(|&i| band.hit(i).is_hit()).collect();
+            let (strata, seen): (Vec<u32>, Vec<u32>) = (of(&STRATUM), of(&ALL));
             let missed = pixels.len() * STRATUM.len() - strata.len();
             progress.advance(missed as u64 * u64::from(self.sampling(Masking::default()).rays()));
-            let mut tables: Vec<(Masking, [Vec<Curve>; 2])> = Vec::new();
-            let seen: Vec<u32> = of(&ALL).collect();
+            let highlights = self.highlights(&band, &strata, &textures, metals, progress)?;
             for (radiance, textures) in radiance.iter_mut().zip(textures) {
                 let mut add = |i: u32, share: usize, value: [f32; 3]| {
                     let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
                     let sum = &mut radiance.data[y * camera.width + x];
                     *sum = std::array::from_fn(|c| sum[c] + value[c] / share as f32);
                 };
-                let view = |pixels| SeenPixels { camera: &fine, band: &band, pixels, filter: Filter::Area };
-                let values = self.look_up_all(&view(&strata), textures)?;
-                let masking = textures.masking;
-                let known = tables.iter().position(|(of, _)| *of == masking);
-                let at = known.unwrap_or(tables.len());
-                if known.is_none() {
-                    let counted = if tables.is_empty() { progress } else { &Silent };
-                    let sampling = self.sampling(masking);
-                    let dielectric = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, sampling, counted)?;
-                    let white = self.backend.specular_tables(white_points, 1.0, sampling, &Silent)?;
-                    tables.push((masking, [dielectric, white]));
-                }
-                let [curves, white] = &tables[at].1;
-                for (k, (&i, curve)) in strata.iter().zip(curves).enumerate() {
-                    let dielectric = curve.at(values.roughness[k]).0;
-                    let f0 = brdf::f0(V3(values.albedo[k]), values.metallic[k]);
-                    // Linear in F0, and known at two.
-                    let white = white.get(k).map_or(dielectric, |white| white.at(values.roughness[k]).0);
-                    let share = |c: usize| (f0.0[c] - DIELECTRIC_F0 as f32) / (1.0 - DIELECTRIC_F0 as f32);
-                    add(
-                        i,
-                        STRATUM.len(),
-                        std::array::from_fn(|c| dielectric[c] + share(c) * (white[c] - dielectric[c])),
-                    );
-                }
-                let values = self.look_up_all(&view(&seen), textures)?;
-                for (k, &i) in seen.iter().enumerate() {
-                    let point =
-                        ShadePoint::new(&self.scene.mesh, &fine, i, &band.hit(i as usize), values.irradiance[k]);
-                    let factor = textures.diffuse.factor(point.cosine(), values.roughness[k]) * FRAC_1_PI;
-                    let diffuse =
-                        |c: usize| values.albedo[k][c] * (1.0 - values.metallic[k]) * values.irradiance[k][c] * factor;
-                    add(i, ALL.len(), std::array::from_fn(|c| diffuse(c) + values.emission[k][c]));
-                }
+                let specular = highlights.iter().find(|of| of.masking == textures.masking);
+                let specular = specular.map_or(Vec::new(), |of| of.radiance(&band, &strata, textures));
+                strata.iter().zip(specular).for_each(|(&i, value)| add(i, STRATUM.len(), value));
+                let rest: Vec<_> = seen.par_iter().map(|&i| band.diffuse_and_emitted(i, textures)).collect();
+                seen.iter().zip(rest).for_each(|(&i, value)| add(i, ALL.len(), value));
             }
         }
         Ok(radiance)
     }
 
-    /// All textures at some pixels. Emission is looked up on the atlas itself: on the coarse levels of its pyramid, lamps
-    /// would shine into the charts beside theirs.
-    fn look_up_all(&mut self, seen: &SeenPixels<'_>, textures: &Textures) -> Result<Values> {
-        let mut known = Vec::new();
-        let albedo = self.look_up_rgb(&textures.albedo, seen, &mut known)?;
-        let irradiance = self.look_up_rgb(&textures.irradiance, seen, &mut known)?;
-        let Raster { width, height, data } = &textures.roughness;
-        let roughness = self.look_up((*width, *height), data, 1, seen, &mut known)?;
-        let metallic = match &textures.metallic {
-            Some(Raster { width, height, data }) => self.look_up((*width, *height), data, 1, seen, &mut known)?,
-            None => vec![0.0; roughness.len()],
-        };
-        let emission = &textures.emission;
-        let index = self.pyramid(emission.size())?;
-        let footprints = seen.bilinear(&self.pyramids[index], &self.scene.mesh);
-        let texels = bytemuck::cast_slice(&emission.data);
-        let emission = self.backend.lookup(&self.pyramids[index], texels, 3, &footprints)?.as_chunks::<3>().0.to_vec();
-        Ok(Values { albedo, roughness, metallic, irradiance, emission })
-    }
-
-    fn look_up_rgb(
+    /// What light the strata of a band reflect specularly, under every masking that one of the textures has.
+    fn highlights(
         &mut self,
-        texture: &Rgb,
-        seen: &SeenPixels<'_>,
-        known: &mut SharedFootprints,
-    ) -> Result<Vec<[f32; 3]>> {
-        let values = self.look_up(texture.size(), bytemuck::cast_slice(&texture.data), 3, seen, known)?;
-        Ok(values.as_chunks::<3>().0.to_vec())
-    }
-
-    /// `channels` numbers per pixel of a texture of the given size.
-    fn look_up(
-        &mut self,
-        size: (usize, usize),
-        texture: &[f32],
-        channels: usize,
-        seen: &SeenPixels<'_>,
-        known: &mut SharedFootprints,
-    ) -> Result<Vec<f32>> {
-        let index = self.pyramid(size)?;
-        let pyramid = &self.pyramids[index];
-        let at = known.iter().position(|(of, _)| *of == index).unwrap_or_else(|| {
-            known.push((index, seen.footprints(pyramid, &self.scene.mesh)));
-            known.len() - 1
-        });
-        self.backend.lookup(pyramid, texture, channels, &known[at].1)
-    }
-
-    /// Index of the atlas's pyramid at a size, made at its first use.
-    fn pyramid(&mut self, (width, height): (usize, usize)) -> Result<usize> {
-        let known = self.pyramids.iter().position(|p| (p.levels[0].width, p.levels[0].height) == (width, height));
-        if let Some(index) = known {
-            return Ok(index);
+        band: &Band<'_>,
+        strata: &[u32],
+        textures: &[&Mipmapped<'_>],
+        metals: bool,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Highlights>> {
+        let points: Vec<_> = strata.par_iter().map(|&i| [band.point(i, [0.0; 3]); STRATA]).collect();
+        let white_points = if metals { &points[..] } else { &[] };
+        let mut all: Vec<Highlights> = Vec::new();
+        for masking in textures.iter().map(|textures| textures.masking) {
+            if all.iter().all(|known| known.masking != masking) {
+                // Unasked-for rays are not counted: they depend on the textures.
+                let counted = if all.is_empty() { progress } else { &Silent };
+                let sampling = self.sampling(masking);
+                let dielectric = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, sampling, counted)?;
+                let white = self.backend.specular_tables(white_points, 1.0, sampling, &Silent)?;
+                all.push(Highlights { masking, dielectric, white });
+            }
         }
-        self.pyramids.push(Atlas::new(self.backend, width, height)?.pyramid());
-        Ok(self.pyramids.len() - 1)
+        Ok(all)
+    }
+
+    /// The atlas's pyramid at a size, made at its first use.
+    fn pyramid(&mut self, (width, height): (usize, usize)) -> Result<Arc<Pyramid>> {
+        let known = self.pyramids.iter().find(|p| (p.levels[0].width, p.levels[0].height) == (width, height));
+        if let Some(known) = known {
+            return Ok(known.clone());
+        }
+        let pyramid = Arc::new(Atlas::new(self.backend, width, height)?.pyramid());
+        self.pyramids.push(pyramid.clone());
+        Ok(pyramid)
     }
 }
 
@@ -318,74 +275,62 @@ fn sub_pixels<'a>(
     })
 }
 
-/// Footprints by pyramid, so that textures of one size share theirs.
-type SharedFootprints = Vec<(usize, Rows)>;
-
-/// What of a texture a pixel shows.
-#[derive(Clone, Copy)]
-enum Filter {
-    /// What lies at its centre: bilinear.
-    Point,
-    /// What it covers: trilinear.
-    Area,
-}
-
-/// What some rows of a view hit.
-struct Band {
+/// What some rows of a supersampled view hit.
+struct Band<'a> {
+    mesh: &'a Mesh,
+    camera: &'a Camera,
     hits: Vec<Hit>,
     /// Index in the view of the first of them.
     first: usize,
 }
 
-impl Band {
+impl Band<'_> {
     /// What a pixel of the view hits.
-    fn hit(&self, pixel: usize) -> Hit {
-        self.hits[pixel - self.first]
+    fn hit(&self, pixel: u32) -> Hit {
+        self.hits[pixel as usize - self.first]
+    }
+
+    fn point(&self, pixel: u32, irradiance: [f32; 3]) -> ShadePoint {
+        ShadePoint::new(self.mesh, self.camera, pixel, &self.hit(pixel), irradiance)
+    }
+
+    /// What a pixel, which must hit something, shows.
+    fn seen(&self, pixel: u32, textures: &Mipmapped<'_>) -> Seen {
+        let (x, y) = (pixel as usize % self.camera.width, pixel as usize / self.camera.width);
+        textures.at(&Footprint::area(self.mesh, self.camera, &self.hit(pixel), x, y))
+    }
+
+    /// Radiance that leaves a pixel without its highlights: f_d · E / π + emission.
+    fn diffuse_and_emitted(&self, pixel: u32, textures: &Mipmapped<'_>) -> [f32; 3] {
+        let seen = self.seen(pixel, textures);
+        let cosine = self.point(pixel, seen.irradiance).cosine();
+        let factor = textures.diffuse.factor(cosine, seen.roughness) * FRAC_1_PI * (1.0 - seen.metallic);
+        std::array::from_fn(|c| seen.albedo[c] * seen.irradiance[c] * factor + seen.emission[c])
     }
 }
 
-/// Pixels of a view, and what the view hits.
-struct SeenPixels<'a> {
-    camera: &'a Camera,
-    band: &'a Band,
-    pixels: &'a [u32],
-    filter: Filter,
+/// Specular radiance of a band's strata by roughness, under one masking; linear in F0, and known at two.
+struct Highlights {
+    masking: Masking,
+    /// At the F0 of dielectrics.
+    dielectric: Vec<Curve>,
+    /// At 1; empty where nothing is metal.
+    white: Vec<Curve>,
 }
 
-impl SeenPixels<'_> {
-    fn footprints(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
-        match self.filter {
-            Filter::Point => self.bilinear(pyramid, mesh),
-            Filter::Area => Rows::of_pixels(pyramid, mesh, self.camera, 1, |pixel| self.band.hit(pixel), self.pixels),
-        }
-    }
-
-    fn bilinear(&self, pyramid: &Pyramid, mesh: &Mesh) -> Rows {
-        let taps = |&pixel: &u32| match self.band.hit(pixel as usize) {
-            hit if hit.is_hit() => pyramid.bilinear(0, hit.uv(mesh)),
-            _ => Vec::new(),
+impl Highlights {
+    /// What the strata reflect with these textures.
+    fn radiance(&self, band: &Band<'_>, strata: &[u32], textures: &Mipmapped<'_>) -> Vec<[f32; 3]> {
+        let of_stratum = |(k, &i): (usize, &u32)| {
+            let seen = band.seen(i, textures);
+            let dielectric = self.dielectric[k].at(seen.roughness).0;
+            let Some(white) = self.white.get(k) else { return dielectric };
+            let white = white.at(seen.roughness).0;
+            let f0 = brdf::f0(V3(seen.albedo), seen.metallic).0;
+            let share = |c: usize| (f0[c] - DIELECTRIC_F0 as f32) / (1.0 - DIELECTRIC_F0 as f32);
+            std::array::from_fn(|c| dielectric[c] + share(c) * (white[c] - dielectric[c]))
         };
-        Rows::from_lists(self.pixels.par_iter().map(taps).collect::<Vec<_>>())
-    }
-}
-
-/// Textures at some pixels.
-#[derive(Default)]
-struct Values {
-    albedo: Vec<[f32; 3]>,
-    roughness: Vec<f32>,
-    metallic: Vec<f32>,
-    irradiance: Vec<[f32; 3]>,
-    emission: Vec<[f32; 3]>,
-}
-
-impl Values {
-    fn append(&mut self, mut other: Self) {
-        self.albedo.append(&mut other.albedo);
-        self.roughness.append(&mut other.roughness);
-        self.metallic.append(&mut other.metallic);
-        self.irradiance.append(&mut other.irradiance);
-        self.emission.append(&mut other.emission);
+        strata.par_iter().enumerate().map(of_stratum).collect()
     }
 }
 

@@ -214,7 +214,9 @@ impl Rows {
                 let mut taps: Vec<Tap> = (0..factor * factor)
                     .flat_map(|k| {
                         let (x, y) = (x + k % factor, y + k / factor);
-                        sub_pixel(pyramid, mesh, fine, &hit(y * fine.width + x), x, y)
+                        let hit = hit(y * fine.width + x);
+                        let footprint = || Footprint::area(mesh, fine, &hit, x, y).taps(pyramid);
+                        hit.is_hit().then(footprint).unwrap_or_default()
                     })
                     .collect();
                 merge(&mut taps);
@@ -268,16 +270,34 @@ impl Footprints {
     }
 }
 
-/// Trilinear taps of pixel (x, y). The level follows the longer axis of its footprint in the atlas, from ray
-/// differentials (Igehy, "Tracing Ray Differentials", 1999).
-fn sub_pixel(pyramid: &Pyramid, mesh: &Mesh, camera: &Camera, hit: &Hit, x: usize, y: usize) -> Vec<Tap> {
-    if !hit.is_hit() {
-        return Vec::new();
+/// What of the atlas a pixel sees.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    /// Where its centre lies,
+    pub uv: Vec2,
+    /// and how far from there one pixel further along x and along y; `None`: the centre alone is looked at.
+    spread: Option<(Vec2, Vec2)>,
+}
+
+impl Footprint {
+    /// Of a pixel's centre.
+    pub fn centre(mesh: &Mesh, hit: &Hit) -> Self {
+        Self { uv: hit.uv(mesh), spread: None }
     }
-    let atlas = Vec2::new(pyramid.levels[0].width as f32, pyramid.levels[0].height as f32);
-    let (du, dv) = uv_differentials(mesh, camera, hit, x as f32 + 0.5, y as f32 + 0.5);
-    let width = (du * atlas).length().max((dv * atlas).length());
-    pyramid.trilinear(hit.uv(mesh), if width.is_finite() { width } else { 1.0 })
+
+    /// Of the area of pixel (x, y), from ray differentials (Igehy, "Tracing Ray Differentials", 1999).
+    pub fn area(mesh: &Mesh, camera: &Camera, hit: &Hit, x: usize, y: usize) -> Self {
+        let spread = uv_differentials(mesh, camera, hit, x as f32 + 0.5, y as f32 + 0.5);
+        Self { uv: hit.uv(mesh), spread: Some(spread) }
+    }
+
+    /// Its taps in a pyramid: bilinear at the centre, trilinear over an area, whose longer axis tells the level.
+    pub fn taps(&self, pyramid: &Pyramid) -> Vec<Tap> {
+        let Some((du, dv)) = self.spread else { return pyramid.bilinear(0, self.uv) };
+        let atlas = Vec2::new(pyramid.levels[0].width as f32, pyramid.levels[0].height as f32);
+        let width = (du * atlas).length().max((dv * atlas).length());
+        pyramid.trilinear(self.uv, if width.is_finite() { width } else { 1.0 })
+    }
 }
 
 /// Joins taps on the same texel and makes the weights sum to 1.

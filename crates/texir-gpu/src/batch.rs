@@ -131,8 +131,8 @@ impl Context {
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
         record(&mut encoder.begin_compute_pass(&Default::default()));
-        let submission = self.gpu.queue().submit([encoder.finish()]);
-        self.gpu.wait(&submission)
+        self.gpu.queue().submit([encoder.finish()]);
+        self.gpu.finish()
     }
 
     /// Dispatches `workgroups` of a kernel, which trace `rays` rays, and waits; the size of its next dispatch follows from the time

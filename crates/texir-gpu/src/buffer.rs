@@ -61,8 +61,6 @@ impl View {
 pub(crate) struct Pool {
     buffers: HashMap<&'static str, wgpu::Buffer>,
     up: Option<wgpu::Buffer>,
-    /// The last copy out of `up`.
-    copied: Option<wgpu::SubmissionIndex>,
     down: Option<wgpu::Buffer>,
 }
 
@@ -98,7 +96,7 @@ impl Pool {
             let size = padded(bytes.len() as u64);
             let usage = wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC;
             let staging = staging(gpu, &mut self.up, size, usage);
-            map(gpu, &staging, wgpu::MapMode::Write, size, self.copied.as_ref())?;
+            map(gpu, &staging, wgpu::MapMode::Write, size)?;
             let mut range = staging.get_mapped_range_mut(0..size).map_err(|e| failed(gpu, e))?;
             range.slice(..bytes.len()).copy_from_slice(bytes);
             drop(range);
@@ -106,7 +104,7 @@ impl Pool {
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             let first = (piece * STAGING_BYTES) as u64;
             encoder.copy_buffer_to_buffer(&staging, 0, &view.buffer, first, Some(size.min(view.bytes - first)));
-            self.copied = Some(gpu.queue().submit([encoder.finish()]));
+            gpu.queue().submit([encoder.finish()]);
         }
         Ok(())
     }
@@ -124,8 +122,8 @@ impl Pool {
             let staging = staging(gpu, &mut self.down, size, usage);
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             encoder.copy_buffer_to_buffer(&view.buffer, first, &staging, 0, Some(size));
-            let copied = gpu.queue().submit([encoder.finish()]);
-            map(gpu, &staging, wgpu::MapMode::Read, size, Some(&copied))?;
+            gpu.queue().submit([encoder.finish()]);
+            map(gpu, &staging, wgpu::MapMode::Read, size)?;
             let range = staging.get_mapped_range(0..size).map_err(|e| failed(gpu, e))?;
             let bytes = &range[..values * size_of::<T>()];
             match bytemuck::try_cast_slice(bytes) {
@@ -149,30 +147,14 @@ fn staging(gpu: &Gpu, slot: &mut Option<wgpu::Buffer>, bytes: u64, usage: wgpu::
     slot.insert(gpu.device().create_buffer(&descriptor)).clone()
 }
 
-/// Maps the first bytes of a staging buffer, once the `last` submission that uses it is done.
-fn map(
-    gpu: &Gpu,
-    buffer: &wgpu::Buffer,
-    mode: wgpu::MapMode,
-    bytes: u64,
-    last: Option<&wgpu::SubmissionIndex>,
-) -> Result<()> {
-    let (sender, receiver) = std::sync::mpsc::channel();
+/// Maps the first bytes of a staging buffer, once the device no longer uses it.
+fn map(gpu: &Gpu, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) -> Result<()> {
+    let (sender, mapped) = std::sync::mpsc::channel();
     buffer.map_async(mode, 0..bytes, move |result| {
-        // The receiver is gone only when waiting failed, which is reported instead.
+        // Nobody listens any more where waiting failed, which is reported instead.
         let _ = sender.send(result);
     });
-    match last {
-        Some(submission) => gpu.wait(submission)?,
-        // No submission uses it: it is mapped as soon as somebody looks.
-        None => drop(gpu.device().poll(wgpu::PollType::Poll)),
-    }
-    // Another thread of the host program may have seen it mapped first, and be about to say so.
-    match receiver.recv() {
-        Ok(Ok(())) => Ok(()),
-        Ok(Err(e)) => Err(failed(gpu, e)),
-        Err(_) => Err(failed(gpu, "the device was lost")),
-    }
+    gpu.answer(&mapped)?.map_err(|e| failed(gpu, e))
 }
 
 fn failed(gpu: &Gpu, e: impl std::fmt::Display) -> Error {

@@ -1,7 +1,8 @@
 //! A device to run on: owned (headless) or borrowed from a host program.
 
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
 
 use texir_core::error::{Error, Result};
 
@@ -16,8 +17,20 @@ pub struct Gpu {
     kernels: Arc<Mutex<Kernels>>,
 }
 
-/// How long a wait for the device keeps the host program from presenting: wgpu holds a lock meanwhile that a swap chain takes.
+/// How often the device is asked at least whether it is done.
 const PATIENCE: Duration = Duration::from_millis(1);
+
+/// The program's own instance, which one thread at a time asks for devices: drivers have hung or crashed where several threads
+/// did so at once (NVIDIA's, gfx-rs/wgpu#5930 and #10234).
+fn instance() -> &'static Mutex<wgpu::Instance> {
+    static INSTANCE: OnceLock<Mutex<wgpu::Instance>> = OnceLock::new();
+    INSTANCE.get_or_init(|| {
+        Mutex::new(wgpu::Instance::new(wgpu::InstanceDescriptor {
+            flags: wgpu::InstanceFlags::empty(),
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        }))
+    })
+}
 
 /// The optional features that the kernels need: none.
 pub fn required_features() -> wgpu::Features {
@@ -60,10 +73,7 @@ impl Gpu {
     /// Makes a device without a window. Of several adapters, discrete GPUs come before integrated ones and those before
     /// software; `adapter` keeps only those whose name contains it (case does not matter).
     pub fn headless(adapter: Option<&str>) -> Result<Self> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
-            flags: wgpu::InstanceFlags::empty(),
-            ..wgpu::InstanceDescriptor::new_without_display_handle()
-        });
+        let instance = instance().lock().unwrap_or_else(PoisonError::into_inner);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         let found: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
         if let Some(name) = adapter {
@@ -163,18 +173,42 @@ impl Gpu {
         }
     }
 
-    /// Waits until a submission is done, not for what the host program submits meanwhile.
-    pub(crate) fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<()> {
-        let wait = || wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(PATIENCE) };
+    /// Waits until all that was submitted is done.
+    pub(crate) fn finish(&self) -> Result<()> {
+        let (sender, done) = channel();
+        self.queue.on_submitted_work_done(move || {
+            // Nobody listens any more where waiting failed, which is reported instead.
+            let _ = sender.send(());
+        });
+        self.answer(&done)
+    }
+
+    /// Waits for what a callback of the device's sends.
+    pub(crate) fn answer<T>(&self, from: &Receiver<T>) -> Result<T> {
+        let failed = |e: &dyn std::fmt::Display| {
+            Error::device(format!("{}: waiting for the device failed: {e}", self.info.name))
+        };
+        let start = Instant::now();
         loop {
-            match self.device.poll(wait()) {
-                Ok(_) => return Ok(()),
-                Err(wgpu::PollError::Timeout) => std::thread::yield_now(),
-                Err(e) => {
-                    return Err(Error::device(format!("{}: waiting for the device failed: {e}", self.info.name)));
-                }
+            // wgpu has no wait that serves: one without a limit keeps the host program from presenting, and one with a limit
+            // panics where another thread polls the same device (gfx-rs/wgpu#9958).
+            self.device.poll(wgpu::PollType::Poll).map_err(|e| failed(&e))?;
+            match from.try_recv() {
+                Ok(answer) => return Ok(answer),
+                Err(TryRecvError::Empty) => pause(start.elapsed()),
+                Err(TryRecvError::Disconnected) => return Err(failed(&"the device was lost")),
             }
         }
+    }
+}
+
+/// Lets others run before the device is asked again, after so long a wait: short waits are not made much longer, and long ones
+/// take no processor time.
+fn pause(waited: Duration) {
+    if waited < PATIENCE / 8 {
+        std::thread::yield_now();
+    } else {
+        std::thread::sleep((waited / 8).min(PATIENCE));
     }
 }
 

@@ -110,7 +110,8 @@ impl Ablate {
             let output = FitOutput::load(&self.output.join(variant.name), session.console)?;
             let (radiance, seed) = (&output.tbl.radiance, session.config.fit.seed);
             let mut renderer = Renderer::new(backend.as_mut(), radiance, self.spp, seed)?;
-            let surfaces = renderer.surfaces(&view.camera, &output.textures)?;
+            let textures = renderer.mipmapped(&output.textures)?;
+            let surfaces = renderer.surfaces(&view.camera, &textures)?;
             let mask = surfaces.reflective();
             let error = |truth: &Gray| Picture::value_error(&surfaces.roughness, truth, &mask);
             variants.push(ablation::Variant {

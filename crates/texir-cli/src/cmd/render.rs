@@ -62,11 +62,12 @@ impl Render {
         let radiance = &output.tbl.radiance;
         let mut renderer = Renderer::new(backend.as_mut(), radiance, self.spp, session.config.fit.seed)?;
         eval::warn_of_rays(&renderer, self.spp, session);
+        let textures = renderer.mipmapped(&output.textures)?;
         let gain = self.exposure.exp2();
         let mut written = Vec::with_capacity(views.len());
         session.console.start("rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");
         for view in &views {
-            let radiance = renderer.render(&view.camera, &output.textures, session.console)?;
+            let radiance = renderer.render(&view.camera, &textures, session.console)?;
             let file = |extension: &str| self.output.join(format!("{}.{extension}", view.name));
             let (exr, png) = (file("exr"), file("png"));
             write_rgb(&exr, &radiance)?;

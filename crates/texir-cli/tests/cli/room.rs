@@ -266,9 +266,10 @@ fn shoot(backend: &mut CpuBackend, paints: &[Paint], textures: &Textures, camera
     let seen = Raster::new(WIDTH, HEIGHT, seen).unwrap();
     let radiance = outgoing(&textures.albedo, &textures.irradiance, &textures.emission);
     let mut renderer = Renderer::new(backend, &radiance, 256, 1).unwrap();
+    let shown = renderer.mipmapped(textures).unwrap();
     Picture {
         camera,
-        image: renderer.render(&camera, textures, &Silent).unwrap(),
+        image: renderer.render(&camera, &shown, &Silent).unwrap(),
         semantic: seen.map(|paint| paint.class),
         mask: seen.map(|paint| paint.class != 0),
         albedo: seen.map(|paint| paint.albedo),

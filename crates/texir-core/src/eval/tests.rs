@@ -61,11 +61,12 @@ fn camera(shift: f32) -> Camera {
 /// A training and a novel view whose images and truth are what the renderer shows of `textures`; the top row is masked, a
 /// pixel unknown.
 fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: &Textures) -> Capture {
+    let seen = renderer.mipmapped(textures).unwrap();
     let views = [("a", 0.5, Split::Train), ("b", -0.5, Split::Novel)].map(|(name, shift, split)| {
         let camera = camera(shift);
         let file = |kind: &str| folder.join(format!("{name}_{kind}"));
-        let surfaces = renderer.surfaces(&camera, textures).unwrap();
-        let mut image = renderer.render(&camera, textures, &Silent).unwrap();
+        let surfaces = renderer.surfaces(&camera, &seen).unwrap();
+        let mut image = renderer.render(&camera, &seen, &Silent).unwrap();
         // Nothing is known of a pixel amid the others.
         image.data[32 * 8 + 5] = [f32::NAN; 3];
         write_rgb(file("image.exr"), &image).unwrap();
@@ -155,12 +156,14 @@ fn light_sources_and_masked_pixels_do_not_count() {
     let mut renderer = Renderer::new(&mut backend, &textures().irradiance, 96, 3).unwrap();
     let mut glowing = textures();
     glowing.emission.data[..48 * 8].fill([9.0; 3]);
+    let (glowing, dark) = (renderer.mipmapped(&glowing).unwrap(), textures());
+    let dark = renderer.mipmapped(&dark).unwrap();
     let surfaces = renderer.surfaces(&camera(0.5), &glowing).unwrap();
     let reflective = surfaces.reflective();
     let counted = reflective.data.iter().filter(|r| **r).count();
     assert!(counted > 0 && counted < 32 * 16, "{counted}");
     let glow = renderer.render(&camera(0.5), &glowing, &Silent).unwrap();
-    let plain = renderer.render(&camera(0.5), &textures(), &Silent).unwrap();
+    let plain = renderer.render(&camera(0.5), &dark, &Silent).unwrap();
     let masked = compare(&encoded(&glow), &encoded(&plain), &reflective).unwrap().unwrap();
     let all = compare(&encoded(&glow), &encoded(&plain), &reflective.map(|_| true)).unwrap().unwrap();
     assert!(masked.psnr > all.psnr + 6.0, "{masked:?} {all:?}");

@@ -57,6 +57,11 @@ fn textures(diffuse: DiffuseModel, roughness: f32) -> Textures {
     }
 }
 
+fn render_each<const N: usize>(renderer: &mut Renderer<'_>, textures: [&Textures; N]) -> [Rgb; N] {
+    let textures = textures.map(|textures| renderer.mipmapped(textures).unwrap());
+    renderer.render_each(&camera(), textures.each_ref(), &Silent).unwrap()
+}
+
 /// The camera's view of the scene, made of one `material`, by shading every sub-pixel.
 fn shaded(backend: &mut CpuBackend, material: Material) -> Rgb {
     let scene = backend.scene().clone();
@@ -87,8 +92,7 @@ fn views_agree_with_shading_of_every_sub_pixel() {
     let burley = textures(DiffuseModel::Burley, roughness);
     let smoother = textures(DiffuseModel::Lambert, 0.15);
     let smith = Textures { masking: Masking::Smith, ..lambert.clone() };
-    let [rendered, burley, smoother, smith] =
-        renderer.render_each(&camera(), [&lambert, &burley, &smoother, &smith], &Silent).unwrap();
+    let [rendered, burley, smoother, smith] = render_each(&mut renderer, [&lambert, &burley, &smoother, &smith]);
 
     let expected = shaded(&mut backend, Material::dielectric([ALBEDO; 3], roughness));
     let off = difference(&rendered, &expected);
@@ -107,7 +111,7 @@ fn metal_mirrors_in_its_own_colour() {
     for metallic in [1.0, 0.4] {
         let metal = Textures { metallic: Some(Gray::filled(16, 8, metallic)), ..dielectric.clone() };
         let mut renderer = Renderer::new(&mut backend, &radiance, 8192, 1).unwrap();
-        let [rendered, plain] = renderer.render_each(&camera(), [&metal, &dielectric], &Silent).unwrap();
+        let [rendered, plain] = render_each(&mut renderer, [&metal, &dielectric]);
         let material = Material { metallic, ..Material::dielectric([ALBEDO; 3], 0.3) };
         let expected = shaded(&mut backend, material);
         let off = difference(&rendered, &expected);

@@ -1,0 +1,117 @@
+//! Textures with their mip levels made, and what of them a pixel shows.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use super::Textures;
+use crate::brdf::Masking;
+use crate::cpu::lookup::reduce;
+use crate::diffuse::DiffuseModel;
+use crate::raster::Raster;
+use crate::texture::{Footprint, Pyramid, Tap};
+
+/// [`Textures`] that views can be rendered with, any number of them: see [`Renderer::mipmapped`](super::Renderer::mipmapped).
+pub struct Mipmapped<'t> {
+    albedo: Map<'t, 3>,
+    roughness: Map<'t, 1>,
+    metallic: Option<Map<'t, 1>>,
+    irradiance: Map<'t, 3>,
+    /// Looked up on the atlas itself: on coarse levels, lamps would shine into the charts beside theirs.
+    emission: Map<'t, 3>,
+    /// Of the textures.
+    pub(super) diffuse: DiffuseModel,
+    /// Of the textures.
+    pub(super) masking: Masking,
+}
+
+/// What a pixel shows of the textures.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Seen {
+    pub albedo: [f32; 3],
+    pub roughness: f32,
+    pub metallic: f32,
+    pub irradiance: [f32; 3],
+    pub emission: [f32; 3],
+}
+
+impl<'t> Mipmapped<'t> {
+    /// `pyramid` gives the atlas's at a size.
+    pub(super) fn new<E>(
+        textures: &'t Textures,
+        mut pyramid: impl FnMut((usize, usize)) -> Result<Arc<Pyramid>, E>,
+    ) -> Result<Self, E> {
+        let Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking } = textures;
+        Ok(Self {
+            albedo: Map::new(pyramid(albedo.size())?, &albedo.data),
+            roughness: Map::of_values(pyramid(roughness.size())?, roughness),
+            metallic: match metallic {
+                Some(metallic) => Some(Map::of_values(pyramid(metallic.size())?, metallic)),
+                None => None,
+            },
+            irradiance: Map::new(pyramid(irradiance.size())?, &irradiance.data),
+            emission: Map { above: Vec::new(), pyramid: pyramid(emission.size())?, texels: &emission.data },
+            diffuse: *diffuse,
+            masking: *masking,
+        })
+    }
+
+    /// Whether anything is metal.
+    pub(super) fn is_metal(&self) -> bool {
+        self.metallic.as_ref().is_some_and(|map| map.texels.iter().any(|[m]| *m > 0.0))
+    }
+
+    /// What a pixel of this footprint shows.
+    pub(super) fn at(&self, footprint: &Footprint) -> Seen {
+        let shared = footprint.taps(&self.albedo.pyramid);
+        let taps = |of: &Arc<Pyramid>| match Arc::ptr_eq(of, &self.albedo.pyramid) {
+            true => Cow::Borrowed(&shared[..]),
+            false => Cow::Owned(footprint.taps(of)),
+        };
+        Seen {
+            albedo: self.albedo.sum(&shared),
+            roughness: self.roughness.sum(&taps(&self.roughness.pyramid))[0],
+            metallic: self.metallic.as_ref().map_or(0.0, |map| map.sum(&taps(&map.pyramid))[0]),
+            irradiance: self.irradiance.sum(&taps(&self.irradiance.pyramid)),
+            emission: self.emission.sum(&self.emission.pyramid.bilinear(0, footprint.uv)),
+        }
+    }
+}
+
+/// One texture of `N` channels.
+struct Map<'t, const N: usize> {
+    pyramid: Arc<Pyramid>,
+    /// The finest level,
+    texels: &'t [[f32; N]],
+    /// and those above it, in one piece.
+    above: Vec<f32>,
+}
+
+impl<'t> Map<'t, 1> {
+    fn of_values(pyramid: Arc<Pyramid>, texture: &'t Raster<f32>) -> Self {
+        Self::new(pyramid, bytemuck::cast_slice(&texture.data))
+    }
+}
+
+impl<'t, const N: usize> Map<'t, N> {
+    fn new(pyramid: Arc<Pyramid>, texels: &'t [[f32; N]]) -> Self {
+        let above = reduce(&pyramid, texels.as_flattened(), N, pyramid.levels.len());
+        Self { pyramid, texels, above }
+    }
+
+    fn texel(&self, index: usize) -> &[f32; N] {
+        match index.checked_sub(self.texels.len()) {
+            None => &self.texels[index],
+            Some(above) => &self.above.as_chunks().0[above],
+        }
+    }
+
+    /// What taps see; 0 without any.
+    fn sum(&self, taps: &[Tap]) -> [f32; N] {
+        let mut sum = [0.0; N];
+        for tap in taps {
+            let texel = self.texel(tap.texel as usize);
+            sum = std::array::from_fn(|c| sum[c] + texel[c] * tap.weight);
+        }
+        sum
+    }
+}
