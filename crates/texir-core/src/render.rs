@@ -136,35 +136,40 @@ impl<'a> Renderer<'a> {
         camera.pixels() as u64 * u64::from(self.rays_per_pixel())
     }
 
-    /// Textures ready to be seen in views, which cost a third of their memory more.
+    /// Textures ready to be seen in views of this renderer's scene: with their mip levels, a third of their memory more.
     pub fn mipmapped<'t>(&mut self, textures: &'t Textures) -> Result<Mipmapped<'t>> {
-        Mipmapped::new(textures, |size| self.pyramid(size))
+        Mipmapped::new(self.scene.clone(), textures, |size| self.pyramid(size))
     }
 
     /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Mipmapped<'_>) -> Result<Surfaces> {
         indexable(camera)?;
+        let scene = self.scene.clone();
+        textures.check(&scene)?;
+        let seen =
+            |hit: &Hit| hit.is_hit().then(|| textures.at(&Footprint::centre(&scene.mesh, hit))).unwrap_or_default();
         let (width, height) = (camera.width, camera.height);
-        let mut surfaces = Surfaces {
-            hits: Vec::with_capacity(camera.pixels()),
-            albedo: Rgb::filled(width, height, [0.0; 3]),
-            roughness: Gray::filled(width, height, 0.0),
-            irradiance: Rgb::filled(width, height, [0.0; 3]),
-            emission: Rgb::filled(width, height, [0.0; 3]),
-        };
+        let rgb = || Vec::with_capacity(camera.pixels());
+        let (mut albedo, mut irradiance, mut emission) = (rgb(), rgb(), rgb());
+        let mut hits = Vec::with_capacity(camera.pixels());
+        let mut roughness = Vec::with_capacity(camera.pixels());
         for rows in bands(height, width) {
-            surfaces.hits.extend(self.backend.primary(camera, rows)?);
+            let band = self.backend.primary(camera, rows)?;
+            for seen in band.par_iter().map(seen).collect::<Vec<Seen>>() {
+                albedo.push(seen.albedo);
+                roughness.push(seen.roughness);
+                irradiance.push(seen.irradiance);
+                emission.push(seen.emission);
+            }
+            hits.extend(band);
         }
-        let mesh = &self.scene.mesh;
-        let seen = |hit: &Hit| hit.is_hit().then(|| textures.at(&Footprint::centre(mesh, hit))).unwrap_or_default();
-        let seen: Vec<Seen> = surfaces.hits.par_iter().map(seen).collect();
-        for (i, seen) in seen.into_iter().enumerate() {
-            surfaces.albedo.data[i] = seen.albedo;
-            surfaces.roughness.data[i] = seen.roughness;
-            surfaces.irradiance.data[i] = seen.irradiance;
-            surfaces.emission.data[i] = seen.emission;
-        }
-        Ok(surfaces)
+        Ok(Surfaces {
+            hits,
+            albedo: Raster::new(width, height, albedo)?,
+            roughness: Raster::new(width, height, roughness)?,
+            irradiance: Raster::new(width, height, irradiance)?,
+            emission: Raster::new(width, height, emission)?,
+        })
     }
 
     /// The view's radiance. Advances `progress` by [`Renderer::rays`]; the caller starts and finishes the task.
@@ -182,13 +187,14 @@ impl<'a> Renderer<'a> {
     ) -> Result<[Rgb; N]> {
         let fine = camera.supersampled(SUB_PIXELS);
         indexable(&fine)?;
+        let scene = self.scene.clone();
+        textures.iter().try_for_each(|textures| textures.check(&scene))?;
         let metals = textures.iter().any(|textures| textures.is_metal());
         let mut radiance = [(); N].map(|()| Rgb::filled(camera.width, camera.height, [0.0; 3]));
         for rows in bands(camera.height, ALL.len() * camera.width) {
             progress.check()?;
             let first = rows.start * SUB_PIXELS * fine.width;
             let hits = self.backend.primary(&fine, rows.start * SUB_PIXELS..rows.end * SUB_PIXELS)?;
-            let scene = self.scene.clone();
             let band = Band { mesh: &scene.mesh, camera: &fine, hits, first };
             let pixels = rows.start * camera.width..rows.end * camera.width;
             let of = |which| sub_pixels(&fine, pixels.clone(), which).filter(|&i| band.hit(i).is_hit()).collect();

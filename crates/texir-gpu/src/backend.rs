@@ -63,7 +63,7 @@ impl GpuBackend {
         let gpu = self.context.gpu.clone();
         let result = gpu.guarded(name, || work(self));
         if result.is_err() {
-            self.context.pool = Default::default();
+            self.context.forget();
             self.cache = Default::default();
         }
         result

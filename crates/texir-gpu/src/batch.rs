@@ -127,12 +127,21 @@ impl Context {
         self.gpu.kernel(Spec { shader, entry, variant, constant })
     }
 
-    /// Records a compute pass, submits it and waits.
+    /// Records a compute pass, submits it and waits. A pass that the device refuses is an error here: it must not be taken for a
+    /// fast one.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
-        let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
-        record(&mut encoder.begin_compute_pass(&Default::default()));
-        self.gpu.queue().submit([encoder.finish()]);
-        self.gpu.finish()
+        self.gpu.guarded("a dispatch", || {
+            let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
+            record(&mut encoder.begin_compute_pass(&Default::default()));
+            self.gpu.queue().submit([encoder.finish()]);
+            self.gpu.finish()
+        })
+    }
+
+    /// Keeps nothing of what passes have left.
+    pub fn forget(&mut self) {
+        self.pool = Pool::default();
+        self.paces.clear();
     }
 
     /// Dispatches `workgroups` of a kernel, which trace `rays` rays, and waits; the size of its next dispatch follows from the time

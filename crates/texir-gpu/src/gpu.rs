@@ -17,11 +17,14 @@ pub struct Gpu {
     kernels: Arc<Mutex<Kernels>>,
 }
 
-/// How often the device is asked at least whether it is done.
+/// The longest time between two questions whether the device is done.
 const PATIENCE: Duration = Duration::from_millis(1);
 
-/// The program's own instance, which one thread at a time asks for devices: drivers have hung or crashed where several threads
-/// did so at once (NVIDIA's, gfx-rs/wgpu#5930 and #10234).
+/// A hundred times what a dispatch should take: a wait as long as that may be one for a device that was lost.
+const TOO_LONG: Duration = Duration::from_secs(10);
+
+/// The instance of [`Gpu::headless`], which makes one device at a time: drivers have crashed where several threads did so at
+/// once (NVIDIA's: gfx-rs/wgpu#5930 and #10234).
 fn instance() -> &'static Mutex<wgpu::Instance> {
     static INSTANCE: OnceLock<Mutex<wgpu::Instance>> = OnceLock::new();
     INSTANCE.get_or_init(|| {
@@ -71,7 +74,8 @@ fn missing(limits: &wgpu::Limits) -> Option<String> {
 
 impl Gpu {
     /// Makes a device without a window. Of several adapters, discrete GPUs come before integrated ones and those before
-    /// software; `adapter` keeps only those whose name contains it (case does not matter).
+    /// software; `adapter` keeps only those whose name contains it (case does not matter). A program needs one, and clones of
+    /// it: NVIDIA's driver can hang where one of several devices is dropped while others work.
     pub fn headless(adapter: Option<&str>) -> Result<Self> {
         let instance = instance().lock().unwrap_or_else(PoisonError::into_inner);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
@@ -104,7 +108,9 @@ impl Gpu {
     }
 
     /// Borrows a host program's device and queue (both are handles). Make the device with [`required_limits`]; one that the
-    /// kernels do not run on is an error that names the limits.
+    /// kernels do not run on is an error that names the limits. While a backend works, poll the device and wait for it as you
+    /// like, but not with a time limit: wgpu up to 30.0.2 panics where another thread polls meanwhile (gfx-rs/wgpu#9958).
+    /// Callbacks of yours may be called by the thread of the backend.
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
         match missing(&device.limits()) {
@@ -190,13 +196,18 @@ impl Gpu {
         };
         let start = Instant::now();
         loop {
-            // wgpu has no wait that serves: one without a limit keeps the host program from presenting, and one with a limit
-            // panics where another thread polls the same device (gfx-rs/wgpu#9958).
-            self.device.poll(wgpu::PollType::Poll).map_err(|e| failed(&e))?;
+            // No wait of wgpu's serves: one without a limit keeps the host program from presenting, and one with a limit
+            // panics where another thread polls the same device (gfx-rs/wgpu#9958). But only waits are sure to end where a
+            // device is lost.
+            let ask = match start.elapsed() < TOO_LONG {
+                true => wgpu::PollType::Poll,
+                false => wgpu::PollType::Wait { submission_index: None, timeout: None },
+            };
+            self.device.poll(ask).map_err(|e| failed(&e))?;
             match from.try_recv() {
                 Ok(answer) => return Ok(answer),
                 Err(TryRecvError::Empty) => pause(start.elapsed()),
-                Err(TryRecvError::Disconnected) => return Err(failed(&"the device was lost")),
+                Err(TryRecvError::Disconnected) => return Err(failed(&"its callback was dropped")),
             }
         }
     }

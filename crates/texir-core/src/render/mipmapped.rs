@@ -7,20 +7,23 @@ use super::Textures;
 use crate::brdf::Masking;
 use crate::cpu::lookup::reduce;
 use crate::diffuse::DiffuseModel;
+use crate::error::{Error, Result};
 use crate::raster::Raster;
+use crate::scene::Scene;
 use crate::texture::{Footprint, Pyramid, Tap};
 
-/// [`Textures`] that views can be rendered with, any number of them: see [`Renderer::mipmapped`](super::Renderer::mipmapped).
+/// [`Textures`] that views of one scene can be rendered with, any number of them: see
+/// [`Renderer::mipmapped`](super::Renderer::mipmapped).
 pub struct Mipmapped<'t> {
+    /// In whose atlas they lie.
+    scene: Arc<Scene>,
     albedo: Map<'t, 3>,
     roughness: Map<'t, 1>,
     metallic: Option<Map<'t, 1>>,
     irradiance: Map<'t, 3>,
     /// Looked up on the atlas itself: on coarse levels, lamps would shine into the charts beside theirs.
     emission: Map<'t, 3>,
-    /// Of the textures.
     pub(super) diffuse: DiffuseModel,
-    /// Of the textures.
     pub(super) masking: Masking,
 }
 
@@ -36,23 +39,45 @@ pub(super) struct Seen {
 
 impl<'t> Mipmapped<'t> {
     /// `pyramid` gives the atlas's at a size.
-    pub(super) fn new<E>(
+    pub(super) fn new(
+        scene: Arc<Scene>,
         textures: &'t Textures,
-        mut pyramid: impl FnMut((usize, usize)) -> Result<Arc<Pyramid>, E>,
-    ) -> Result<Self, E> {
+        mut pyramid: impl FnMut((usize, usize)) -> Result<Arc<Pyramid>>,
+    ) -> Result<Self> {
         let Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking } = textures;
+        let mut of = |name: &str, size: (usize, usize), texels: usize| match size.0 * size.1 == texels {
+            true => pyramid(size),
+            false => Err(Error::invalid(format!(
+                "{name}: {texels} texels; expected those of {} × {}, which it is said to have",
+                size.0, size.1
+            ))),
+        };
+        let metallic = match metallic {
+            Some(map) => Some(Map::of_values(of("metallic", map.size(), map.data.len())?, map)),
+            None => None,
+        };
         Ok(Self {
-            albedo: Map::new(pyramid(albedo.size())?, &albedo.data),
-            roughness: Map::of_values(pyramid(roughness.size())?, roughness),
-            metallic: match metallic {
-                Some(metallic) => Some(Map::of_values(pyramid(metallic.size())?, metallic)),
-                None => None,
+            scene,
+            albedo: Map::new(of("albedo", albedo.size(), albedo.data.len())?, &albedo.data),
+            roughness: Map::of_values(of("roughness", roughness.size(), roughness.data.len())?, roughness),
+            metallic,
+            irradiance: Map::new(of("irradiance", irradiance.size(), irradiance.data.len())?, &irradiance.data),
+            emission: Map {
+                pyramid: of("emission", emission.size(), emission.data.len())?,
+                texels: &emission.data,
+                above: Vec::new(),
             },
-            irradiance: Map::new(pyramid(irradiance.size())?, &irradiance.data),
-            emission: Map { above: Vec::new(), pyramid: pyramid(emission.size())?, texels: &emission.data },
             diffuse: *diffuse,
             masking: *masking,
         })
+    }
+
+    /// An error for textures of another scene.
+    pub(super) fn check(&self, scene: &Arc<Scene>) -> Result<()> {
+        if Arc::ptr_eq(&self.scene, scene) {
+            return Ok(());
+        }
+        Err(Error::invalid("textures that were mipmapped by the renderer of another scene"))
     }
 
     /// Whether anything is metal.

@@ -8,6 +8,8 @@ use crate::camera::Projection;
 use crate::cpu::CpuBackend;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
+use crate::rng::hash2;
+use crate::texture::Rows;
 
 const ALBEDO: f32 = 0.5;
 const IRRADIANCE: f32 = 0.8;
@@ -118,6 +120,70 @@ fn metal_mirrors_in_its_own_colour() {
         assert!(off < 0.02, "metallic {metallic}: {off}");
         assert!(difference(&plain, &expected) > 10.0 * off, "metallic {metallic}: {off}");
     }
+}
+
+#[test]
+fn mipmapped_textures_are_looked_up_as_by_a_backend() {
+    let (scene, radiance) = scene();
+    let mut backend = CpuBackend::new(scene);
+    let scene = backend.scene().clone();
+    let random = |i: usize, c: u32| hash2(i as u32, c) as f32 / u32::MAX as f32;
+    let rgb = |c: u32| Rgb::new(16, 8, (0..128).map(|i| [0, 1, 2].map(|k| random(i, c + k))).collect()).unwrap();
+    let textures = Textures {
+        albedo: rgb(0),
+        irradiance: rgb(3),
+        emission: rgb(6),
+        // Of another size than the rest.
+        roughness: Gray::new(32, 16, (0..512).map(|i| random(i, 9)).collect()).unwrap(),
+        ..textures(DiffuseModel::Lambert, 0.3)
+    };
+    let mut renderer = Renderer::new(&mut backend, &radiance, 96, 1).unwrap();
+    let mipmapped = renderer.mipmapped(&textures).unwrap();
+    let [pyramid, finer] = [(16, 8), (32, 16)].map(|size| renderer.pyramid(size).unwrap());
+    let hits = backend.primary(&camera(), camera().rows()).unwrap();
+    let seen: Vec<u32> = (0..camera().pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
+    let rows = |of| Rows::of_pixels(of, &scene.mesh, &camera(), 1, |i| hits[i], &seen);
+    // Coarse levels are seen.
+    assert!(rows(&pyramid).taps.iter().any(|tap| tap.texel >= 128 + 32));
+    let mut look_up = |of, texture: &[f32], channels| backend.lookup(of, texture, channels, &rows(of)).unwrap();
+    let albedo = look_up(&pyramid, textures.albedo.data.as_flattened(), 3);
+    let irradiance = look_up(&pyramid, textures.irradiance.data.as_flattened(), 3);
+    let roughness = look_up(&finer, &textures.roughness.data, 1);
+    for (k, &i) in seen.iter().enumerate() {
+        let (x, y) = (i as usize % 16, i as usize / 16);
+        let seen = mipmapped.at(&Footprint::area(&scene.mesh, &camera(), &hits[i as usize], x, y));
+        let expected = [&albedo[3 * k..][..3], &irradiance[3 * k..][..3], &roughness[k..][..1]].concat();
+        let found = [&seen.albedo[..], &seen.irradiance, &[seen.roughness]].concat();
+        assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-5), "{found:?} {expected:?}");
+        // Lamps do not shine from coarse levels into what is beside them.
+        let texels = pyramid.bilinear(0, hits[i as usize].uv(&scene.mesh));
+        let emission =
+            |c: usize| texels.iter().map(|t| t.weight * textures.emission.data[t.texel as usize][c]).sum::<f32>();
+        assert!((0..3).all(|c| (seen.emission[c] - emission(c)).abs() < 1e-5));
+    }
+}
+
+#[test]
+fn textures_of_wrong_sizes_or_scenes_are_errors() {
+    let (mut backends, radiance) = ([scene().0, scene().0].map(CpuBackend::new), scene().1);
+    let [mut renderer, mut other] =
+        backends.each_mut().map(|backend| Renderer::new(backend, &radiance, 96, 1).unwrap());
+    let good = textures(DiffuseModel::Lambert, 0.3);
+    for texels in [127, 129] {
+        let torn = |image: &Rgb| Rgb { data: vec![[0.5; 3]; texels], ..image.clone() };
+        for wrong in [
+            Textures { albedo: torn(&good.albedo), ..good.clone() },
+            Textures { emission: torn(&good.emission), ..good.clone() },
+        ] {
+            let error = renderer.mipmapped(&wrong).err().unwrap().to_string();
+            assert!(error.contains(&format!("{texels} texels; expected those of 16 × 8")), "{error}");
+        }
+    }
+    let foreign = other.mipmapped(&good).unwrap();
+    let error = renderer.render(&camera(), &foreign, &Silent).unwrap_err().to_string();
+    assert!(error.contains("another scene"), "{error}");
+    assert!(renderer.surfaces(&camera(), &foreign).is_err());
+    assert!(other.surfaces(&camera(), &foreign).is_ok());
 }
 
 #[test]

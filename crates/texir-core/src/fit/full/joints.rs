@@ -76,17 +76,24 @@ pub struct Lines {
 
 impl Lines {
     /// Those that `albedo` shows. `texel` is the edge of a typical texel, metres.
-    pub fn find(problem: &AlbedoProblem<'_>, albedo: &[Vec3A], texel: f32, settings: &JointSettings) -> Self {
+    pub fn find(
+        problem: &AlbedoProblem<'_>,
+        albedo: &[Vec3A],
+        texel: f32,
+        settings: &JointSettings,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
         let (segment, segments) = problem.segment;
         if settings.width == 0.0 {
-            return Self { group: vec![None; segment.len()], regular: vec![false; 2 * segments] };
+            return Ok(Self { group: vec![None; segment.len()], regular: vec![false; 2 * segments] });
         }
         let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
         let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
         let paint = Paint { ln: &ln, is_seen, segment, adjacency, texel };
         let straight = settings.straight.iter().map(|course| paint.straight(course, settings.width));
+        let regular = paint.regular(settings.width, progress)?;
         let kinds: Vec<Vec<Option<Line>>> =
-            std::iter::once(paint.regular(settings.width)).chain(straight).chain([paint.narrow(settings)]).collect();
+            std::iter::once(regular).chain(straight).chain([paint.narrow(settings)]).collect();
         let enough: Vec<Vec<bool>> =
             kinds.iter().map(|lines| enough(lines, problem.segment, settings.least_share)).collect();
         let group = |t: usize| -> Option<usize> {
@@ -98,7 +105,8 @@ impl Lines {
             };
             of_side(Line::Darker).or_else(|| of_side(Line::Brighter))
         };
-        Self { group: (0..segment.len()).into_par_iter().map(group).collect(), regular: enough[0].clone() }
+        let group = (0..segment.len()).into_par_iter().map(group).collect();
+        Ok(Self { group, regular: enough[0].clone() })
     }
 
     /// The group that a pixel of `segment` sees most of, and its share.

@@ -132,7 +132,7 @@ fn recover(
     problem.solve_at(&mut albedo, &segments.of_texels(&by_segment), 1);
 
     // others for its colours, and where it has two finishes, of which pixels that see joints would make a mixture,
-    let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints);
+    let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints, progress)?;
     let half = evidence.halves(&seen.views);
     let surface = Surface {
         width: atlas.width,

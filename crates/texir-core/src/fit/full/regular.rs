@@ -7,6 +7,8 @@
 use rayon::prelude::*;
 
 use super::lines::{AXES, Line, Paint};
+use crate::error::Result;
+use crate::progress::Progress;
 
 /// Lines must be so far apart, rows: closer ones are not told from what albedo is wrong by between neighbours.
 const CLOSEST: f32 = 5.0;
@@ -34,10 +36,10 @@ type Piece = Vec<(u32, [i32; 2])>;
 impl Paint<'_> {
     /// Which texels, seen or not, lie on lines along the rows or the columns of the atlas that are at equal distances in their
     /// chart. None where texels are wider than lines may be (`width`, metres).
-    pub fn regular(&self, width: f32) -> Vec<Option<Line>> {
+    pub fn regular(&self, width: f32, progress: &dyn Progress) -> Result<Vec<Option<Line>>> {
         let mut lines = vec![None; self.ln.len()];
         if self.texel > width {
-            return lines;
+            return Ok(lines);
         }
         let away = (width / self.texel).round().max(2.0) as usize;
         let least = (SEEN / self.texel).max(1.0);
@@ -45,19 +47,19 @@ impl Paint<'_> {
         for (axis, across) in AXES.iter().enumerate() {
             let contrast = self.contrast(*across, away);
             let of_piece = |piece: &Piece| {
-                let first = piece.iter().map(|(_, at)| at[axis]).min()?;
+                let first = piece.iter().map(|(_, at)| at[axis]).min().unwrap_or(0);
                 let row = |at: &[i32; 2]| (at[axis] - first) as usize;
-                let (line, comb) = Profile::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least)
-                    .lines(away as f32)?;
+                let profile = Profile::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least);
+                let Some((line, comb)) = profile.lines(away as f32, progress)? else { return Ok(None) };
                 let on = piece.iter().filter(|(_, at)| comb.distance(row(at) as f32) < comb.half_width);
-                Some((line, on.map(|(t, _)| *t).collect::<Vec<u32>>()))
+                Ok(Some((line, on.map(|(t, _)| *t).collect::<Vec<u32>>())))
             };
-            let found: Vec<_> = pieces.par_iter().filter_map(of_piece).collect();
-            for (line, texels) in found {
+            let found: Vec<_> = pieces.par_iter().map(of_piece).collect::<Result<_>>()?;
+            for (line, texels) in found.into_iter().flatten() {
                 texels.into_iter().for_each(|t| lines[t as usize] = Some(line));
             }
         }
-        lines
+        Ok(lines)
     }
 
     /// The texels of each segment in each chart.
@@ -106,6 +108,17 @@ impl Comb {
     }
 }
 
+/// Lines, and how much they stand out: their mean contrast by the square root of their number.
+type StandsOut = (f32, Comb);
+
+/// Of two lines of each kind, those that stand out more; of equal ones, the later.
+fn more(a: [Option<StandsOut>; 2], b: [Option<StandsOut>; 2]) -> [Option<StandsOut>; 2] {
+    std::array::from_fn(|kind| match (a[kind], b[kind]) {
+        (Some(a), Some(b)) if a.0.total_cmp(&b.0).is_gt() => Some(a),
+        (a, b) => b.or(a),
+    })
+}
+
 /// How dark, on average, the rows of a chart are beside what is around them, in ln a, times how many of their texels say so; and these.
 #[derive(Clone)]
 struct Profile(Vec<[f32; 2]>);
@@ -144,18 +157,17 @@ impl Profile {
     }
 
     /// The lines that are believed, of contrasts with what is `away` rows.
-    fn lines(self, away: f32) -> Option<(Line, Comb)> {
+    fn lines(self, away: f32, progress: &dyn Progress) -> Result<Option<(Line, Comb)>> {
+        let best = self.best(progress)?;
         let brighter = Self(self.0.iter().map(|[c, w]| [-c, *w]).collect());
-        let found = [(Line::Darker, self), (Line::Brighter, brighter)]
-            .into_iter()
-            .filter_map(|(line, rows)| Some((line, rows.believed(away)?)));
-        let (line, (_, comb)) = found.max_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
-        Some((line, comb))
+        let found = [(Line::Darker, self), (Line::Brighter, brighter)].into_iter().zip(best);
+        let found = found.filter_map(|((line, rows), best)| Some((line, rows.believed(best?, away)?)));
+        let found = found.max_by(|a, b| a.1.0.total_cmp(&b.1.0));
+        Ok(found.map(|(line, (_, comb))| (line, comb)))
     }
 
-    /// What stands out most, and by how many standard errors, if that is enough.
-    fn believed(&self, away: f32) -> Option<(f32, Comb)> {
-        let (stands_out, comb) = self.candidates().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    /// By how many standard errors lines stand out, and they with the width that they have; if that is enough.
+    fn believed(&self, (stands_out, comb): StandsOut, away: f32) -> Option<(f32, Comb)> {
         // A line as wide as `away` is what rows are compared with up to half more from its middle.
         let beside = (1.5 * away).min(comb.period / 3.0);
         let between = (0..self.0.len()).filter(|row| comb.distance(*row as f32) > beside);
@@ -171,19 +183,22 @@ impl Profile {
         believed.then(|| (evidence, self.as_wide_as_seen(comb)))
     }
 
-    /// All periods and phases, by what their lines stand out.
-    fn candidates(&self) -> impl Iterator<Item = (f32, Comb)> {
+    /// The darker and the brighter lines that stand out most, of all periods and phases: 16 R² ln (R / 18) steps for R rows.
+    fn best(&self, progress: &dyn Progress) -> Result<[Option<StandsOut>; 2]> {
         let rows = self.0.len() as f32;
         let next = move |period: &f32| Some(period + period / (STEPS * rows));
         let periods = std::iter::successors(Some(CLOSEST), next).take_while(move |period| period * LEAST_LINES <= rows);
-        periods.flat_map(move |period| {
-            let of_phase = move |step: usize| {
+        let of_period = |period: f32| {
+            progress.check()?;
+            let of_phase = |step: usize| {
                 let comb = Comb { period, phase: step as f32 / STEPS, half_width: NARROWEST };
                 let [contrast, lines] = self.mean(comb);
-                (lines >= LEAST_LINES).then_some((contrast * lines.sqrt(), comb))
+                let by = (lines >= LEAST_LINES).then_some(contrast * lines.sqrt());
+                [by.map(|by| (by, comb)), by.map(|by| (-by, comb))]
             };
-            (0..(STEPS * period) as usize).filter_map(of_phase)
-        })
+            Ok((0..(STEPS * period) as usize).map(of_phase).fold([None; 2], more))
+        };
+        periods.collect::<Vec<_>>().into_par_iter().map(of_period).try_reduce(|| [None; 2], |a, b| Ok(more(a, b)))
     }
 
     /// With the width that lines have on average.
@@ -204,6 +219,7 @@ impl Profile {
 mod tests {
     use super::super::lines::tests::{EDGES, grid};
     use super::*;
+    use crate::progress::Silent;
     use crate::rng::hash2;
 
     /// Edge of a texel, metres, and how wide lines may be.
@@ -224,7 +240,7 @@ mod tests {
         let is_seen: Vec<bool> = (0..ln.len()).map(|t| t % columns < 64).collect();
         let (adjacency, segment) = (grid(), vec![0; ln.len()]);
         let paint = Paint { ln: &ln, is_seen: &is_seen, segment: &segment, adjacency: &adjacency, texel: TEXEL };
-        let lines = paint.regular(WIDTH);
+        let lines = paint.regular(WIDTH, &Silent).unwrap();
         let dark = |t: usize| lines[t] == Some(Line::Darker);
         assert!((0..ln.len()).all(|t| lines[t].is_none() || dark(t)));
         let count = |what: &dyn Fn(usize) -> bool| (0..ln.len()).filter(|t| what(*t)).count() as f32;

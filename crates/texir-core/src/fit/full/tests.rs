@@ -325,7 +325,7 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
         let texel = 2.0 / FLOOR as f32;
         let judges = Judges { segment: &vec![0; pixels], say: &vec![1.0; pixels], half: &half };
-        let lines = Lines::find(&problem, &albedo, texel, &roughness.joints);
+        let lines = Lines::find(&problem, &albedo, texel, &roughness.joints, &Silent).unwrap();
         joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap()
     };
     let on = |joints: &[Option<Joint>]| -> Vec<f32> { joints.iter().flatten().map(|joint| joint.on(0.15)).collect() };
