@@ -146,8 +146,10 @@ impl<'a> Renderer<'a> {
         indexable(camera)?;
         let scene = self.scene.clone();
         textures.check(&scene)?;
-        let seen =
-            |hit: &Hit| hit.is_hit().then(|| textures.at(&Footprint::centre(&scene.mesh, hit))).unwrap_or_default();
+        let seen = |hit: &Hit| match hit.is_hit() {
+            true => textures.at(&Footprint::centre(&scene.mesh, hit)),
+            false => Seen::default(),
+        };
         let (width, height) = (camera.width, camera.height);
         let rgb = || Vec::with_capacity(camera.pixels());
         let (mut albedo, mut irradiance, mut emission) = (rgb(), rgb(), rgb());

@@ -215,8 +215,10 @@ impl Rows {
                     .flat_map(|k| {
                         let (x, y) = (x + k % factor, y + k / factor);
                         let hit = hit(y * fine.width + x);
-                        let footprint = || Footprint::area(mesh, fine, &hit, x, y).taps(pyramid);
-                        hit.is_hit().then(footprint).unwrap_or_default()
+                        match hit.is_hit() {
+                            true => Footprint::area(mesh, fine, &hit, x, y).taps(pyramid),
+                            false => Vec::new(),
+                        }
                     })
                     .collect();
                 merge(&mut taps);
