@@ -38,17 +38,9 @@ const CHUNK: usize = 1 << 18;
 /// Sub-pixels per pixel and axis in rendered views. Captured images are box-filtered over the pixel, and at the edges of
 /// lamps and windows a small share of it decides.
 const SUB_PIXELS: usize = 4;
-/// All sub-pixels, (column, row).
-const ALL: [(usize, usize); SUB_PIXELS * SUB_PIXELS] = {
-    let mut all = [(0, 0); SUB_PIXELS * SUB_PIXELS];
-    let mut i = 0;
-    while i < all.len() {
-        all[i] = (i % SUB_PIXELS, i / SUB_PIXELS);
-        i += 1;
-    }
-    all
-};
-/// The sub-pixels whose highlights are traced: one in each row and column.
+/// Sub-pixels per pixel.
+const ALL: usize = SUB_PIXELS * SUB_PIXELS;
+/// The sub-pixels whose highlights are traced, (column, row): one in each row and column.
 const STRATUM: [(usize, usize); SUB_PIXELS] = [(1, 0), (3, 1), (0, 2), (2, 3)];
 
 /// Textures in the scene's atlas, and how they scatter light. Their resolutions may differ.
@@ -193,51 +185,53 @@ impl<'a> Renderer<'a> {
         textures.iter().try_for_each(|textures| textures.check(&scene))?;
         let metals = textures.iter().any(|textures| textures.is_metal());
         let mut radiance = [(); N].map(|()| Rgb::filled(camera.width, camera.height, [0.0; 3]));
-        for rows in bands(camera.height, ALL.len() * camera.width) {
+        for rows in bands(camera.height, ALL * camera.width) {
             progress.check()?;
             let first = rows.start * SUB_PIXELS * fine.width;
             let hits = self.backend.primary(&fine, rows.start * SUB_PIXELS..rows.end * SUB_PIXELS)?;
             let band = Band { mesh: &scene.mesh, camera: &fine, hits, first };
             let pixels = rows.start * camera.width..rows.end * camera.width;
-            let of = |which| sub_pixels(&fine, pixels.clone(), which).filter(|&i| band.hit(i).is_hit()).collect();
-            let (strata, seen): (Vec<u32>, Vec<u32>) = (of(&STRATUM), of(&ALL));
+            // Sub-pixels that hit something, and which of these are strata.
+            let hitting: Vec<u32> = sub_pixels(&fine, pixels.clone()).filter(|&i| band.hit(i).is_hit()).collect();
+            let strata: Vec<usize> = (0..hitting.len()).filter(|k| is_stratum(&fine, hitting[*k])).collect();
             let missed = pixels.len() * STRATUM.len() - strata.len();
             progress.advance(missed as u64 * u64::from(self.sampling(Masking::default()).rays()));
-            let highlights = self.highlights(&band, &strata, &textures, metals, progress)?;
+            let at_strata: Vec<_> = strata.par_iter().map(|&k| [band.point(hitting[k], [0.0; 3]); STRATA]).collect();
+            let highlights = self.highlights(&at_strata, &textures, metals, progress)?;
             for (radiance, textures) in radiance.iter_mut().zip(textures) {
                 let mut add = |i: u32, share: usize, value: [f32; 3]| {
                     let (x, y) = (i as usize % fine.width / SUB_PIXELS, i as usize / fine.width / SUB_PIXELS);
                     let sum = &mut radiance.data[y * camera.width + x];
                     *sum = std::array::from_fn(|c| sum[c] + value[c] / share as f32);
                 };
+                let seen: Vec<Seen> = hitting.par_iter().map(|&i| band.seen(i, textures)).collect();
                 let specular = highlights.iter().find(|of| of.masking == textures.masking);
-                let specular = specular.map_or(Vec::new(), |of| of.radiance(&band, &strata, textures));
-                strata.iter().zip(specular).for_each(|(&i, value)| add(i, STRATUM.len(), value));
-                let rest: Vec<_> = seen.par_iter().map(|&i| band.diffuse_and_emitted(i, textures)).collect();
-                seen.iter().zip(rest).for_each(|(&i, value)| add(i, ALL.len(), value));
+                let specular = specular.map_or(Vec::new(), |of| of.radiance(&strata, &seen));
+                strata.iter().zip(specular).for_each(|(&k, value)| add(hitting[k], STRATUM.len(), value));
+                let rest = |(&i, seen): (&u32, &Seen)| band.diffuse_and_emitted(i, seen, textures.diffuse);
+                let rest: Vec<_> = hitting.par_iter().zip(&seen).map(rest).collect();
+                hitting.iter().zip(rest).for_each(|(&i, value)| add(i, ALL, value));
             }
         }
         Ok(radiance)
     }
 
-    /// What light the strata of a band reflect specularly, under every masking that one of the textures has.
+    /// What light strata reflect specularly, under every masking that one of the textures has.
     fn highlights(
         &mut self,
-        band: &Band<'_>,
-        strata: &[u32],
+        points: &[[ShadePoint; STRATA]],
         textures: &[&Mipmapped<'_>],
         metals: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<Highlights>> {
-        let points: Vec<_> = strata.par_iter().map(|&i| [band.point(i, [0.0; 3]); STRATA]).collect();
-        let white_points = if metals { &points[..] } else { &[] };
+        let white_points = if metals { points } else { &[] };
         let mut all: Vec<Highlights> = Vec::new();
         for masking in textures.iter().map(|textures| textures.masking) {
             if all.iter().all(|known| known.masking != masking) {
                 // Unasked-for rays are not counted: they depend on the textures.
                 let counted = if all.is_empty() { progress } else { &Silent };
                 let sampling = self.sampling(masking);
-                let dielectric = self.backend.specular_tables(&points, DIELECTRIC_F0 as f32, sampling, counted)?;
+                let dielectric = self.backend.specular_tables(points, DIELECTRIC_F0 as f32, sampling, counted)?;
                 let white = self.backend.specular_tables(white_points, 1.0, sampling, &Silent)?;
                 all.push(Highlights { masking, dielectric, white });
             }
@@ -271,16 +265,16 @@ fn indexable(camera: &Camera) -> Result<()> {
     })
 }
 
-/// Indices in the finer image of some sub-pixels of some pixels, pixel by pixel.
-fn sub_pixels<'a>(
-    fine: &Camera,
-    pixels: Range<usize>,
-    which: &'a [(usize, usize)],
-) -> impl Iterator<Item = u32> + use<'a> {
+/// Indices in the finer image of all sub-pixels of some pixels, pixel by pixel.
+fn sub_pixels(fine: &Camera, pixels: Range<usize>) -> impl Iterator<Item = u32> + use<> {
     let fine = *fine;
-    pixels.flat_map(move |pixel| {
-        which.iter().map(move |(dx, dy)| fine.sub_pixel(SUB_PIXELS, pixel, dy * SUB_PIXELS + dx) as u32)
-    })
+    pixels.flat_map(move |pixel| (0..ALL).map(move |k| fine.sub_pixel(SUB_PIXELS, pixel, k) as u32))
+}
+
+/// Whether a sub-pixel's highlights are traced.
+fn is_stratum(fine: &Camera, sub_pixel: u32) -> bool {
+    let (x, y) = (sub_pixel as usize % fine.width, sub_pixel as usize / fine.width);
+    STRATUM.contains(&(x % SUB_PIXELS, y % SUB_PIXELS))
 }
 
 /// What some rows of a supersampled view hit.
@@ -309,10 +303,9 @@ impl Band<'_> {
     }
 
     /// Radiance that leaves a pixel without its highlights: f_d · E / π + emission.
-    fn diffuse_and_emitted(&self, pixel: u32, textures: &Mipmapped<'_>) -> [f32; 3] {
-        let seen = self.seen(pixel, textures);
+    fn diffuse_and_emitted(&self, pixel: u32, seen: &Seen, diffuse: DiffuseModel) -> [f32; 3] {
         let cosine = self.point(pixel, seen.irradiance).cosine();
-        let factor = textures.diffuse.factor(cosine, seen.roughness) * FRAC_1_PI * (1.0 - seen.metallic);
+        let factor = diffuse.factor(cosine, seen.roughness) * FRAC_1_PI * (1.0 - seen.metallic);
         std::array::from_fn(|c| seen.albedo[c] * seen.irradiance[c] * factor + seen.emission[c])
     }
 }
@@ -327,10 +320,10 @@ struct Highlights {
 }
 
 impl Highlights {
-    /// What the strata reflect with these textures.
-    fn radiance(&self, band: &Band<'_>, strata: &[u32], textures: &Mipmapped<'_>) -> Vec<[f32; 3]> {
-        let of_stratum = |(k, &i): (usize, &u32)| {
-            let seen = band.seen(i, textures);
+    /// What the strata reflect, which are these of what is seen.
+    fn radiance(&self, strata: &[usize], seen: &[Seen]) -> Vec<[f32; 3]> {
+        let of_stratum = |(k, &at): (usize, &usize)| {
+            let seen = &seen[at];
             let dielectric = self.dielectric[k].at(seen.roughness).0;
             let Some(white) = self.white.get(k) else { return dielectric };
             let white = white.at(seen.roughness).0;
