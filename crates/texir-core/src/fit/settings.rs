@@ -316,6 +316,9 @@ pub struct RoughnessSettings {
     pub iterations: u32,
     /// Pixels seen at a smaller cosine do not count: models of grazing reflectance differ most.
     pub min_cosine: f32,
+    /// Pixels within this angle, degrees, of one that is left out do not count, nor does the one beside it: it may hold a sliver of
+    /// a light source.
+    pub rim: f32,
     /// Largest roughness: beyond it lobes cannot be told apart.
     pub cap: f32,
     /// Pull of everything on a class.
@@ -479,6 +482,7 @@ impl Default for RoughnessSettings {
             colour_weight: 2.0,
             iterations: 4,
             min_cosine: 0.3,
+            rim: 0.7,
             cap: 0.88,
             class_pull: 0.1,
             room_pull: 0.15,
@@ -593,6 +597,7 @@ impl FullSettings {
             not_negative("full.roughness.colour_weight", r.colour_weight),
             counts("full.roughness.iterations", r.iterations),
             ("full.roughness.min_cosine", r.min_cosine, (0.0..1.0).contains(&r.min_cosine), "in [0, 1)"),
+            ("full.roughness.rim", r.rim, (0.0..=10.0).contains(&r.rim), "in [0, 10] degrees"),
             roughness("full.roughness.cap", r.cap),
             not_negative("full.roughness.class_pull", r.class_pull),
             not_negative("full.roughness.room_pull", r.room_pull),

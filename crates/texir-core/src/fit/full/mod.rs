@@ -23,6 +23,7 @@ pub mod observations;
 pub mod palette;
 mod reflections;
 pub mod regular;
+pub mod rims;
 pub mod scan;
 pub mod segments;
 pub mod share;

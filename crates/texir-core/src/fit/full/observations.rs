@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::bands::Bands;
 use super::blocks::{self, AXIS, Patch};
 use super::reflections::{self, Mirror};
+use super::rims;
 use super::share::Share;
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
@@ -38,6 +39,8 @@ pub struct Observations {
     pub cosine: Vec<f32>,
     /// and the least.
     pub least_cosine: Vec<f32>,
+    /// Whether the pixel lies at the rim of what is left out ([`rims`]).
+    pub at_rim: Vec<bool>,
     /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
     pub area: Vec<f32>,
     /// Specular radiance of a dielectric by roughness, of blocks of pixels;
@@ -140,6 +143,9 @@ impl Observer<'_> {
             .filter(|&pixel| usable.data[pixel])
             .filter_map(|pixel| Some((pixel, strata.texels(pixel, index, self.emitters)?)))
             .collect();
+        let mut left_out = vec![true; view.camera.pixels()];
+        pixels.iter().for_each(|(pixel, _)| left_out[*pixel] = false);
+        let at_rim = rims::beside(&view.camera, &left_out, rims::reach(self.settings.roughness.rim, &view.camera));
         let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
         let seen_by = |&(pixel, _): &(usize, Vec<Share>)| {
             let points = strata.points(pixel);
@@ -188,6 +194,7 @@ impl Observer<'_> {
         all.views.push(pixels.len());
         for (pixel, shares) in pixels {
             all.radiance.push(Vec3A::from(image.data[pixel]));
+            all.at_rim.push(at_rim[pixel]);
             all.rows.push(shares);
         }
         Ok(())
@@ -277,6 +284,10 @@ mod tests {
         let seen = observed(view);
         assert!(seen.len() < all.len() - 50 && seen.len() > 50, "{} of {}", seen.len(), all.len());
         assert_eq!(seen.radiance, masked.radiance);
+        // Beside them, what an image shows is not to be told to the pixel. (Without a mask, the sky beside the square is left out.)
+        let at_rim = |of: &Observations| of.at_rim.iter().filter(|rim| **rim).count();
+        assert!(at_rim(&masked) > at_rim(&all) / 2 && at_rim(&masked) < masked.len() / 2);
+        assert_eq!(seen.at_rim, masked.at_rim);
         // A pixel of 6° sees the square from angles that differ.
         let cosines = || all.least_cosine.iter().zip(&all.cosine);
         assert!(cosines().all(|(least, mean)| least < mean && least > &(mean - 0.15)));

@@ -19,7 +19,7 @@ use crate::specular_table::{NODES, nearest_node, node, node_step};
 
 /// What each pixel says about roughness.
 pub struct Evidence {
-    /// Segment of the pixel, or [`NONE`] for one that sees several, or at too grazing an angle.
+    /// Segment of the pixel, or [`NONE`] for one that sees several, or at too grazing an angle, or is at a rim.
     pub segment: Vec<u32>,
     /// Per pixel and node: ln(1 + |e|²/(2σ)²), e without what the segment's grazing term explains.
     pub cost: Vec<[f16; NODES]>,
@@ -244,7 +244,7 @@ fn known(slope: &[f32; NODES], k: usize) -> f32 {
 }
 
 /// The one segment that a pixel sees, all of it at a cosine above `min_cosine`; [`NONE`] otherwise: the grazing side of an edge
-/// reflects more than all the rest of the pixel.
+/// reflects more than all the rest of the pixel. Pixels at rims may hold light that is none of their segment's.
 fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
     let segments = problem.segment.0;
     (0..problem.seen.len())
@@ -252,7 +252,8 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
         .map(|p| {
             let mut seen = problem.seen.rows.row(p).iter().map(|share| segments[share.texel as usize]);
             let first = seen.next().unwrap_or(NONE);
-            if problem.seen.least_cosine[p] > min_cosine && seen.all(|s| s == first) { first } else { NONE }
+            let pure = !problem.seen.at_rim[p] && problem.seen.least_cosine[p] > min_cosine;
+            if pure && seen.all(|s| s == first) { first } else { NONE }
         })
         .collect()
 }

@@ -100,6 +100,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
             );
             seen.cosine.push(to_camera.z);
             seen.least_cosine.push(to_camera.z);
+            seen.at_rim.push(false);
             seen.area.push(1.0);
             seen.rows.push(Share::of(std::array::from_fn(|_| vec![Tap { texel: t as u32, weight: 1.0 }])));
         }
@@ -130,6 +131,7 @@ impl Toy {
         seen.radiance.truncate(pixels);
         seen.cosine.truncate(pixels);
         seen.least_cosine.truncate(pixels);
+        seen.at_rim.truncate(pixels);
         seen.area.truncate(pixels);
         seen.block.truncate(pixels);
         seen.rows.taps.truncate(pixels);
@@ -178,16 +180,17 @@ fn a_single_view_tells_roughness_by_what_albedo_would_have_to_imitate() {
 }
 
 #[test]
-fn a_pixel_of_which_a_part_is_seen_at_a_grazing_angle_says_nothing() {
+fn pixels_say_nothing_at_rims_and_where_a_part_is_seen_at_a_grazing_angle() {
     let settings = AlbedoSettings::default();
     let mut toy = toy(|_| Vec3A::splat(0.5), 0.3, 1.0);
     let usual = 3;
-    let edge = usual + 1;
+    let [edge, rim] = [usual + 1, usual + 2];
     toy.seen.least_cosine[edge] = 0.1;
+    toy.seen.at_rim[rim] = true;
     let problem = toy.problem(&settings);
     let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut problem.start(), &Silent).unwrap();
-    assert!(toy.seen.cosine[edge] > 0.4 && toy.seen.cosine[usual] > 0.4);
-    assert_eq!([usual, edge].map(|p| evidence.segment[p]), [0, NONE]);
+    assert!([usual, edge, rim].iter().all(|p| toy.seen.cosine[*p] > 0.4));
+    assert_eq!([usual, edge, rim].map(|p| evidence.segment[p]), [0, NONE, NONE]);
 }
 
 #[test]
