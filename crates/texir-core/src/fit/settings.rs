@@ -159,6 +159,7 @@ impl FullSettings {
             *samples = samples.div_ceil(3);
         }
         coarse.block_angle *= 2.0;
+        coarse.roughness.every *= 2;
         coarse.roughness.joints.width = 0.0;
         coarse
     }
@@ -314,6 +315,8 @@ pub struct RoughnessSettings {
     pub colour_weight: f32,
     /// Steps of conjugate gradients per roughness.
     pub iterations: u32,
+    /// Every how many-th of the tabulated roughnesses is solved; those between are interpolated.
+    pub every: u32,
     /// Pixels seen at a smaller cosine do not count: models of grazing reflectance differ most.
     pub min_cosine: f32,
     /// Pixels within this angle, degrees, of one that is left out do not count, nor does the one beside it: it may hold a sliver of
@@ -481,6 +484,7 @@ impl Default for RoughnessSettings {
             image_noise: 0.05,
             colour_weight: 2.0,
             iterations: 4,
+            every: 1,
             min_cosine: 0.3,
             rim: 0.7,
             cap: 0.88,
@@ -596,6 +600,7 @@ impl FullSettings {
             not_negative("full.roughness.image_noise", r.image_noise),
             not_negative("full.roughness.colour_weight", r.colour_weight),
             counts("full.roughness.iterations", r.iterations),
+            counts("full.roughness.every", r.every),
             ("full.roughness.min_cosine", r.min_cosine, (0.0..1.0).contains(&r.min_cosine), "in [0, 1)"),
             ("full.roughness.rim", r.rim, (0.0..=10.0).contains(&r.rim), "in [0, 10] degrees"),
             roughness("full.roughness.cap", r.cap),

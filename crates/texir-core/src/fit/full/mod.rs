@@ -19,6 +19,7 @@ pub mod labels;
 pub mod lines;
 pub mod local;
 pub mod metals;
+pub mod nodes;
 pub mod observations;
 pub mod palette;
 mod reflections;

@@ -10,6 +10,7 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
+use super::nodes::{self, Between};
 use super::variation;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
@@ -196,24 +197,27 @@ pub fn scan(
     albedo: &mut [Vec3A],
     progress: &dyn Progress,
 ) -> Result<Evidence> {
-    progress.start(&format!("roughness scan, {model}"), NODES as u64, "roughnesses");
+    let nodes = nodes::solved(settings.every as usize);
+    progress.start(&format!("roughness scan, {model}"), nodes.len() as u64, "roughnesses");
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
     let mut variation = vec![[0.0; NODES]; problem.segment.1];
     let told = variation::told(problem, &segment);
-    for k in (0..NODES).rev() {
+    let rougher = [None].into_iter().chain(nodes.iter().copied().map(Some));
+    for (k, rougher) in nodes.iter().copied().zip(rougher) {
         progress.check()?;
+        let known = |slope: &[f32; NODES]| rougher.map_or(0.0, |k| slope[k]);
         // What is known of the grazing terms from rougher nodes is no business of albedo.
         let mut target = problem.target(&Roughness::Node(k));
         (&mut target.albedo, &segment, &problem.seen.cosine).into_par_iter().for_each(|(target, segment, cosine)| {
             if *segment != NONE {
-                *target += known(&slope[*segment as usize], k) * grazing(*cosine);
+                *target += known(&slope[*segment as usize]) * grazing(*cosine);
             }
         });
         // From then on, every node begins beside its solution. The first must not look worse for its start.
-        let rounds = if k == NODES - 1 { FIRST_ROUNDS } else { 1 };
+        let rounds = if rougher.is_none() { FIRST_ROUNDS } else { 1 };
         problem.solve(albedo, &target, &sigma, rounds, settings.iterations);
         let residual: Vec<Vec3A> =
             (0..problem.seen.len()).into_par_iter().map(|p| problem.residual(albedo, &target, p)).collect();
@@ -222,7 +226,7 @@ pub fn scan(
         slope
             .iter_mut()
             .zip(&nuisance)
-            .for_each(|(slope, [more, _])| slope[k] = (known(slope, k) + more).clamp(-1.0, 1.0));
+            .for_each(|(slope, [more, _])| slope[k] = (known(slope) + more).clamp(-1.0, 1.0));
         (&mut costs, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
             |(of_pixel, e, s, segment, cosine)| {
                 if *segment != NONE {
@@ -234,13 +238,16 @@ pub fn scan(
         );
         progress.advance(1);
     }
+    let between: Vec<Between> = nodes::between(&nodes).collect();
+    costs.par_iter_mut().for_each(|of| {
+        between.iter().for_each(|b| of[b.node] = f16::from_f32(b.at(|k| of[k].to_f32()).max(0.0)));
+    });
+    slope.iter_mut().for_each(|of| between.iter().for_each(|b| of[b.node] = b.at(|k| of[k])));
+    variation
+        .iter_mut()
+        .for_each(|of| between.iter().for_each(|b| of[b.node] = b.at(|k| of[k] as f32).max(0.0).into()));
     progress.finish();
     Ok(Evidence { segment, cost: costs, say: say(&problem.seen.area), slope, variation })
-}
-
-/// The slope of a segment's grazing term that the nodes rougher than `k` have found; 0 before there are any.
-fn known(slope: &[f32; NODES], k: usize) -> f32 {
-    slope.get(k + 1).copied().unwrap_or(0.0)
 }
 
 /// The one segment that a pixel sees, all of it at a cosine above `min_cosine`; [`NONE`] otherwise: the grazing side of an edge
