@@ -53,7 +53,7 @@ pub type Halves = [Vec<[f32; 3]>; 2];
 /// What is to be denoised.
 #[derive(Clone, Copy, Debug)]
 pub struct Noisy<'a> {
-    /// Where on the surface.
+    /// Where on the surface. Their sequences are to differ: processors take points of different ones at once.
     pub points: &'a [SurfacePoint],
     /// What was found there.
     pub halves: &'a Halves,

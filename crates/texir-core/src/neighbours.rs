@@ -50,7 +50,7 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
     pub fn new(points: &[SurfacePoint], edge: f32) -> Self {
         let cell_at = |i: u32| cell_of(points[i as usize].position.into(), edge).to_array();
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
-        order.sort_by_cached_key(|&i| cell_at(i));
+        order.par_sort_by_cached_key(|&i| cell_at(i));
         let mut places = vec![0; points.len()];
         order.iter().zip(0..).for_each(|(&i, place)| places[i as usize] = place);
 
@@ -77,20 +77,31 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
         Self { edge, entries, spans, places }
     }
 
-    /// The points within `radius` metres of point `i` on its surface, itself included: index and offset, metres.
-    pub fn of(&self, i: usize, radius: f32) -> impl Iterator<Item = (usize, Vec3)> + '_ {
-        let own = self.entries[self.places[i] as usize];
+    /// Gives `found` the points within `radius` metres of point `i` on its surface, itself included: index and offset, metres.
+    #[inline(always)]
+    pub fn each(&self, i: usize, radius: f32, mut found: impl FnMut(usize, Vec3)) {
+        let own = &self.entries[self.places[i] as usize];
         let (position, normal) = (Vec3::from(own.position), Vec3::from(own.normal));
         let columns = if radius <= self.edge { NEAR } else { COLUMNS };
-        (self.spans[own.cell as usize][..columns].iter())
-            .flat_map(|&[start, end]| &self.entries[start as usize..end as usize])
-            .map(move |entry| (entry, Vec3::from(entry.position) - position))
-            .filter(move |(entry, offset)| {
-                offset.length_squared() < radius * radius
-                    && offset.dot(normal).abs() < BESIDE * radius
-                    && normal.dot(entry.normal.into()) > SAME_WAY
-            })
-            .map(|(entry, offset)| (entry.index as usize, offset))
+        for &[start, end] in &self.spans[own.cell as usize][..columns] {
+            for entry in &self.entries[start as usize..end as usize] {
+                let offset = Vec3::from(entry.position) - position;
+                let near = offset.length_squared() < radius * radius;
+                if near && offset.dot(normal).abs() < BESIDE * radius && normal.dot(entry.normal.into()) > SAME_WAY {
+                    found(entry.index as usize, offset);
+                }
+            }
+        }
+    }
+
+    /// What is known of every point, in their own order, by what is known of every entry.
+    pub fn by_point<T: Copy + Send + Sync>(&self, by_entry: &[T]) -> Vec<T> {
+        self.places.par_iter().map(|&place| by_entry[place as usize]).collect()
+    }
+
+    /// All points of the columns around a cell.
+    pub fn around(&self, cell: u32) -> impl Iterator<Item = &Entry> {
+        self.spans[cell as usize].iter().flat_map(|&[start, end]| &self.entries[start as usize..end as usize])
     }
 
     /// Where the columns are beside the one in the middle: those within one cell, then the others.
@@ -120,6 +131,12 @@ mod tests {
     use super::*;
     use crate::rng::{hash2, sobol2};
 
+    fn found<const COLUMNS: usize>(neighbours: &Neighbours<COLUMNS>, i: usize, radius: f32) -> Vec<usize> {
+        let mut found = Vec::new();
+        neighbours.each(i, radius, |j, _| found.push(j));
+        found
+    }
+
     #[test]
     fn a_search_finds_what_looking_at_every_point_finds() {
         // Two walls and a floor, around the origin and thus in cells of either sign.
@@ -143,12 +160,12 @@ mod tests {
                     let beside = offset.dot(n).abs() < BESIDE * radius;
                     offset.length_squared() < radius * radius && beside && n.dot(points[*j].normal.into()) > SAME_WAY
                 };
-                let mut found: Vec<usize> = neighbours.of(i, radius).map(|(j, _)| j).collect();
-                found.sort_unstable();
-                assert_eq!(found, (0..points.len()).filter(close).collect::<Vec<_>>(), "{i}, {radius} m");
-                assert!(found.contains(&i));
-                let alike = near.of(i, radius).eq(neighbours.of(i, radius));
+                let mut all = found(&neighbours, i, radius);
+                let alike = found(&near, i, radius) == all;
                 assert!(alike || radius > 0.1, "{i}, {radius} m");
+                all.sort_unstable();
+                assert_eq!(all, (0..points.len()).filter(close).collect::<Vec<_>>(), "{i}, {radius} m");
+                assert!(all.contains(&i));
             }
         }
         assert!((100..3000).contains(&neighbours.most()));
@@ -161,7 +178,6 @@ mod tests {
             |x: f32, z: f32| SurfacePoint { position: [x, 0.0, z], triangle: 0, normal: [0.0, 1.0, 0.0], sequence: 0 };
         let points = [point(0.0, 0.0), point(1e9, 1e9), point(-1e9, 1e9), point(1e9, -1e9), point(0.005, 0.0)];
         let neighbours = Neighbours::<FAR>::new(&points, 0.01);
-        let found = |i| neighbours.of(i, 0.02).map(|(j, _)| j).collect::<Vec<_>>();
-        assert_eq!((found(0), found(1), found(2), found(3)), (vec![0, 4], vec![1], vec![2], vec![3]));
+        assert_eq!([0, 1, 2, 3].map(|i| found(&neighbours, i, 0.02)), [vec![0, 4], vec![1], vec![2], vec![3]]);
     }
 }

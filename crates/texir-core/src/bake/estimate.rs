@@ -115,8 +115,7 @@ impl Estimate {
             let known = self.known(&block.items)?;
             let neighbours = Neighbours::<NEAR>::new(points, RADIUS * surface.texel);
             let own = |i: usize| block.owns(&points[i]);
-            let error =
-                |i| known.relative_error(i, neighbours.of(i, RADIUS * surface.texel)).unwrap_or(known.difference(i));
+            let error = |i| known.relative_error(i, &neighbours, RADIUS * surface.texel).unwrap_or(known.difference(i));
             let found: Vec<f32> = (0..points.len())
                 .into_par_iter()
                 .filter(|&i| own(i))
@@ -135,7 +134,7 @@ impl Estimate {
             let known = self.known(&block.items)?;
             let neighbours = Neighbours::<NEAR>::new(points, RADIUS * surface.texel);
             let open = |i: usize| {
-                let error = || known.relative_error(i, neighbours.of(i, RADIUS * surface.texel));
+                let error = || known.relative_error(i, &neighbours, RADIUS * surface.texel);
                 known.rays[i] == most && error().is_none_or(|error| error > target)
             };
             let own = |i: usize| block.owns(&points[i]);
@@ -182,14 +181,16 @@ impl EstimateAt<'_> {
         (Vec3::from(self.halves[0][i].irradiance) + Vec3::from(self.halves[1][i].irradiance)) / 2.0
     }
 
-    /// Standard error of a point's luminance as a share of it, from its neighbours alone; `None` where there are none.
-    /// The variance is taken to fall with the number of rays.
-    fn relative_error(&self, i: usize, neighbours: impl Iterator<Item = (usize, Vec3)>) -> Option<f32> {
+    /// Standard error of a point's luminance as a share of it, from its neighbours within `radius` metres alone; `None` where there
+    /// are none. The variance is taken to fall with the number of rays.
+    fn relative_error(&self, i: usize, neighbours: &Neighbours<NEAR>, radius: f32) -> Option<f32> {
         let (mut sum, mut count) = (0.0, 0.0);
-        for (j, _) in neighbours.filter(|&(j, _)| j != i) {
-            sum += self.difference(j).powi(2) * self.rays[j] as f32;
-            count += 1.0;
-        }
+        neighbours.each(i, radius, |j, _| {
+            if j != i {
+                sum += self.difference(j).powi(2) * self.rays[j] as f32;
+                count += 1.0;
+            }
+        });
         (count > 0.0).then(|| f32::sqrt(sum / (count * self.rays[i] as f32)))
     }
 

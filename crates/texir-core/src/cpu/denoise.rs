@@ -1,12 +1,16 @@
 //! Denoising of irradiance, twin of `denoise.wgsl`: the method is described in [`crate::denoise`].
 
+mod around;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
+use self::around::Pass;
+use super::lanes::Lanes;
 use crate::brdf::basis;
 use crate::cholesky;
 use crate::denoise::{
-    CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
+    CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RIDGE, SIGNIFICANT, TOLERANCE,
 };
 use crate::neighbours::{FAR, Neighbours};
 use crate::real::{Real, V3};
@@ -37,9 +41,9 @@ pub fn denoise<R: Real>(noisy: Noisy<'_>) -> Vec<[R; 3]> {
     let search = Search { noisy, neighbours: Neighbours::new(noisy.points, CELL * noisy.texel) };
     let smoothed = search.each(|i| search.smoothed::<R>(i));
     let noise = search.each(|i| search.noise(i, &smoothed));
-    let fits = search.each(|i| search.fits(i, &smoothed, &noise[i]));
+    let fits = search.far(&Fits { noisy, smoothed, noise });
     let cleaned = search.each(|i| search.clean(i, &fits));
-    search.each(|i| search.conserve(i, &cleaned).0)
+    search.far(&Conserve { noisy, cleaned })
 }
 
 /// The points, and who lies beside whom.
@@ -53,104 +57,199 @@ impl Search<'_> {
         (0..self.noisy.points.len()).into_par_iter().map(of).collect()
     }
 
-    /// Points within `radius` texels that may be mixed with point `i`, offsets in shares of the radius, and 1 less the square of
-    /// these: how near they are.
-    fn around<R: Real>(&self, i: usize, radius: f32) -> impl Iterator<Item = (usize, V3<R>, R)> + '_ {
-        let (apart, radius) = (self.noisy.apart, radius * self.noisy.texel);
-        let scale = R::of(1.0) / R::of(f64::from(radius));
-        self.neighbours.of(i, radius).filter(move |&(j, _)| apart[j] == apart[i]).map(move |(j, offset): (_, Vec3)| {
-            let at = V3::of(offset.to_array()) * scale;
-            (j, at, R::of(1.0) - at.dot(at))
-        })
+    fn far<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(&self, pass: &P) -> Vec<P::Found> {
+        around::each(pass, &self.neighbours, self.noisy)
     }
 
-    fn halves<R: Real>(&self, i: usize) -> [V3<R>; 2] {
-        [0, 1].map(|half| V3::of(self.noisy.halves[half][i]))
+    /// Gives `found` the points within `radius` texels that may be mixed with point `i`, offsets in shares of the radius, and 1 less
+    /// the square of these: how near they are.
+    #[inline(always)]
+    fn around<R: Real>(&self, i: usize, radius: f32, mut found: impl FnMut(usize, V3<R>, R)) {
+        let (apart, radius) = (self.noisy.apart, radius * self.noisy.texel);
+        let scale = R::of(1.0) / R::of(f64::from(radius));
+        self.neighbours.each(i, radius, |j, offset: Vec3| {
+            if apart[j] == apart[i] {
+                let at = V3::of(offset.to_array()) * scale;
+                found(j, at, R::of(1.0) - at.dot(at));
+            }
+        });
     }
 
     fn smoothed<R: Real>(&self, i: usize) -> Smoothed<R> {
         let (mut sums, mut weight, mut squares) = ([V3::zero(); 2], R::of(0.0), R::of(0.0));
-        for (j, _, near) in self.around::<R>(i, GUIDE_RADIUS) {
-            let halves = self.halves(j);
+        self.around(i, GUIDE_RADIUS, |j, _, near: R| {
+            let halves = self.noisy.at(j);
             sums = [0, 1].map(|half| sums[half] + halves[half] * near);
             weight = weight + near;
             squares = squares + near * near;
-        }
+        });
         let halves = sums.map(|sum| sum * (R::of(1.0) / weight));
-        let level = square(mean(halves)).min(square(mean(self.halves(i)))).max(R::of(TINY));
+        let level = square(mean(halves)).min(square(mean(self.noisy.at(i)))).max(R::of(TINY));
         Smoothed { halves, share: squares / (weight * weight), level }
     }
 
     fn noise<R: Real>(&self, i: usize, smoothed: &[Smoothed<R>]) -> Noise<R> {
         let (mut sum, mut weight) = (R::of(0.0), R::of(0.0));
-        for (j, _, near) in self.around::<R>(i, NOISE_RADIUS) {
+        self.around(i, NOISE_RADIUS, |j, _, near: R| {
             // (a − b)² estimates the variance of a − b; relative to the value, it is alike in light and in shadow.
-            let [a, b] = self.halves(j);
+            let [a, b] = self.noisy.at(j);
             sum = sum + near * square(a - b) / smoothed[j].level;
             weight = weight + near;
-        }
+        });
         let relative = sum / weight;
         Noise { relative, smoothed: (relative * smoothed[i].level * smoothed[i].share).max(R::of(TINY)) }
-    }
-
-    /// The fit of each half.
-    fn fits<R: Real>(&self, i: usize, smoothed: &[Smoothed<R>], noise: &Noise<R>) -> [V3<R>; 2] {
-        let (tangent, bitangent) = basis(V3::of(self.noisy.points[i].normal));
-        let mut fits = [Fit::new(); 2];
-        for (j, at, near) in self.around::<R>(i, RADIUS) {
-            let monomials = Monomials::at(at.dot(tangent), at.dot(bitangent));
-            let near = near.max(R::of(0.0));
-            let halves = self.halves(j);
-            for (half, fit) in fits.iter_mut().enumerate() {
-                let difference = square(smoothed[i].halves[1 - half] - smoothed[j].halves[1 - half]);
-                let beyond = (difference - noise.smoothed).max(R::of(0.0));
-                let alike = R::of(1.0) + beyond / (noise.smoothed * R::of(f64::from(TOLERANCE * TOLERANCE)));
-                fit.add(near / (alike * alike), &monomials, halves[half]);
-            }
-        }
-        // A half's variance over that of the coefficients before anything is seen.
-        let ridge = noise.relative / R::of(f64::from(2.0 * CURVATURE * CURVATURE));
-        let own = self.halves(i);
-        [0, 1].map(|half| fits[half].centre(ridge).unwrap_or(own[half]))
     }
 
     /// The mean of both fits, and of what is beyond them as much as both halves share.
     fn clean<R: Real>(&self, i: usize, fits: &[[V3<R>; 2]]) -> V3<R> {
         // Relative to the fits: what both halves share, and the variance of their mean.
         let (mut shared, mut noise) = (R::of(0.0), R::of(0.0));
-        for (j, _, near) in self.around::<R>(i, MISS_RADIUS) {
-            let [a, b] = self.halves(j);
+        self.around(i, MISS_RADIUS, |j, _, near: R| {
+            let [a, b] = self.noisy.at(j);
             let (a, b) = (a - fits[j][0], b - fits[j][1]);
             let level = square(fits[j][0] + fits[j][1]).max(R::of(TINY));
             shared = shared + near * a.dot(b) / level;
             noise = noise + near * square(a - b) / (R::of(4.0) * level);
-        }
+        });
         // Wiener's weight, of what is more than chance.
         let signal = (shared - noise * R::of(f64::from(CHANCE))).max(R::of(0.0));
         let kept = if signal > R::of(0.0) { signal / (signal + noise) } else { R::of(0.0) };
         let fit = mean(fits[i]);
-        fit + (mean(self.halves(i)) - fit) * kept
+        fit + (mean(self.noisy.at(i)) - fit) * kept
+    }
+}
+
+/// The fit of each half.
+struct Fits<'a, R> {
+    noisy: Noisy<'a>,
+    smoothed: Vec<Smoothed<R>>,
+    noise: Vec<Noise<R>>,
+}
+
+/// Of a point.
+struct FitSums<R> {
+    tangent: [Lanes<R>; 3],
+    bitangent: [Lanes<R>; 3],
+    smoothed: [[Lanes<R>; 3]; 2],
+    /// Squared difference between smoothed halves that noise explains,
+    expected: Lanes<R>,
+    /// and how much more there may be.
+    tolerated: Lanes<R>,
+    fits: [Fit<R>; 2],
+}
+
+impl<R: Real> Pass<R, 12> for Fits<'_, R> {
+    type Sums = FitSums<R>;
+    type Found = [V3<R>; 2];
+
+    /// Both halves, and both smoothed.
+    fn told(&self, j: usize) -> [R; 12] {
+        let ([V3([a, b, c]), V3([d, e, f])], [V3([g, h, i]), V3([k, l, m])]) =
+            (self.noisy.at(j), self.smoothed[j].halves);
+        [a, b, c, d, e, f, g, h, i, k, l, m]
     }
 
-    /// What was cleaned, with what it and its neighbours of like brightness lost on average.
-    fn conserve<R: Real>(&self, i: usize, cleaned: &[V3<R>]) -> V3<R> {
-        let level = |j: usize| square(cleaned[j]).max(R::of(TINY));
-        let own = level(i);
-        let (mut lost, mut weight, mut squares) = (V3::zero(), R::of(0.0), R::of(0.0));
-        for (j, _, near) in self.around::<R>(i, RADIUS) {
-            let near = near.max(R::of(0.0));
-            let alike = own.min(level(j)) / own.max(level(j));
-            let share = near * near * alike;
-            let here = mean(self.halves(j)) - cleaned[j];
-            lost = lost + here * share;
-            weight = weight + share;
-            squares = squares + share * share * square(here);
+    #[inline(always)]
+    fn start(&self, i: usize) -> FitSums<R> {
+        let (tangent, bitangent) = basis(V3::of(self.noisy.points[i].normal));
+        let ([a, b], noise) = (self.smoothed[i].halves, self.noise[i].smoothed);
+        FitSums {
+            tangent: splat(tangent),
+            bitangent: splat(bitangent),
+            smoothed: [splat(a), splat(b)],
+            expected: Lanes::splat(noise),
+            tolerated: Lanes::splat(noise * R::of(f64::from(TOLERANCE * TOLERANCE))),
+            fits: [Fit::new(), Fit::new()],
         }
+    }
+
+    #[inline(always)]
+    fn add(sums: &mut FitSums<R>, at: [Lanes<R>; 3], near: Lanes<R>, told: &[Lanes<R>; 12]) {
+        let &[a, b, c, d, e, f, g, h, i, k, l, m] = told;
+        let (halves, smoothed) = ([[a, b, c], [d, e, f]], [[g, h, i], [k, l, m]]);
+        let monomials = Monomials::at(Lanes::dot(at, sums.tangent), Lanes::dot(at, sums.bitangent));
+        for half in 0..2 {
+            let (own, other) = (sums.smoothed[1 - half], smoothed[1 - half]);
+            let apart = [own[0] - other[0], own[1] - other[1], own[2] - other[2]];
+            let beyond = (Lanes::dot(apart, apart) - sums.expected).max(Lanes::splat(R::of(0.0)));
+            let alike = Lanes::splat(R::of(1.0)) + beyond / sums.tolerated;
+            sums.fits[half].add(near / (alike * alike), &monomials, halves[half]);
+        }
+    }
+
+    #[inline(always)]
+    fn found(&self, i: usize, sums: FitSums<R>) -> [V3<R>; 2] {
+        // A half's variance over that of the coefficients before anything is seen.
+        let ridge = self.noise[i].relative / R::of(f64::from(2.0 * CURVATURE * CURVATURE));
+        let own = self.noisy.at(i);
+        [0, 1].map(|half| sums.fits[half].centre(ridge).unwrap_or(own[half]))
+    }
+}
+
+/// What was cleaned, with what it and its neighbours of like brightness lost on average.
+struct Conserve<'a, R> {
+    noisy: Noisy<'a>,
+    cleaned: Vec<V3<R>>,
+}
+
+impl<R: Real> Conserve<'_, R> {
+    fn level(&self, i: usize) -> R {
+        square(self.cleaned[i]).max(R::of(TINY))
+    }
+}
+
+/// Of a point: how bright it is, and over those of like brightness Σ w lost, Σ w and Σ w² |lost|².
+struct ConserveSums<R> {
+    level: Lanes<R>,
+    lost: [Lanes<R>; 3],
+    weight: Lanes<R>,
+    squares: Lanes<R>,
+}
+
+impl<R: Real> Pass<R, 4> for Conserve<'_, R> {
+    type Sums = ConserveSums<R>;
+    type Found = [R; 3];
+
+    /// What was lost, and how bright what is left is.
+    fn told(&self, j: usize) -> [R; 4] {
+        let V3([r, g, b]) = mean(self.noisy.at(j)) - self.cleaned[j];
+        [r, g, b, self.level(j)]
+    }
+
+    #[inline(always)]
+    fn start(&self, i: usize) -> ConserveSums<R> {
+        let none = Lanes::splat(R::of(0.0));
+        ConserveSums { level: Lanes::splat(self.level(i)), lost: [none; 3], weight: none, squares: none }
+    }
+
+    #[inline(always)]
+    fn add(sums: &mut ConserveSums<R>, _: [Lanes<R>; 3], near: Lanes<R>, &[r, g, b, level]: &[Lanes<R>; 4]) {
+        let share = near * near * (sums.level.min(level) / sums.level.max(level));
+        sums.lost = [sums.lost[0] + r * share, sums.lost[1] + g * share, sums.lost[2] + b * share];
+        sums.weight = sums.weight + share;
+        sums.squares = sums.squares + share * share * Lanes::dot([r, g, b], [r, g, b]);
+    }
+
+    #[inline(always)]
+    fn found(&self, i: usize, ConserveSums { lost, weight, squares, .. }: ConserveSums<R>) -> [R; 3] {
+        let (lost, weight, squares) = (V3(lost.map(Lanes::sum)), weight.sum(), squares.sum());
         let lost = lost * (R::of(1.0) / weight);
         let chance = squares / (weight * weight) * R::of(f64::from(SIGNIFICANT * SIGNIFICANT));
         let given = if square(lost) > chance { R::of(1.0) - chance / square(lost) } else { R::of(0.0) };
-        (cleaned[i] + lost * given).map(|c| c.max(R::of(0.0)))
+        (self.cleaned[i] + lost * given).0.map(|c| c.max(R::of(0.0)))
     }
+}
+
+impl Noisy<'_> {
+    /// Both halves at a point.
+    fn at<R: Real>(&self, i: usize) -> [V3<R>; 2] {
+        self.halves.each_ref().map(|half| V3::of(half[i]))
+    }
+}
+
+#[inline(always)]
+fn splat<R: Real>(V3([x, y, z]): V3<R>) -> [Lanes<R>; 3] {
+    [Lanes::splat(x), Lanes::splat(y), Lanes::splat(z)]
 }
 
 fn square<R: Real>(v: V3<R>) -> R {
@@ -185,13 +284,18 @@ const EXPONENTS: [[usize; 2]; PRODUCTS] = [
 ];
 
 /// The products of a quadratic's terms at a place.
-struct Monomials<R>([R; PRODUCTS]);
+struct Monomials<R>([Lanes<R>; PRODUCTS]);
 
 impl<R: Real> Monomials<R> {
-    fn at(x: R, y: R) -> Self {
-        let powers = |v: R| [R::of(1.0), v, v * v, v * v * v, v * v * v * v];
-        let (x, y) = (powers(x), powers(y));
-        Self(EXPONENTS.map(|[i, j]| x[i] * y[j]))
+    #[inline(always)]
+    fn at(x: Lanes<R>, y: Lanes<R>) -> Self {
+        let one = Lanes::splat(R::of(1.0));
+        let (x, y) = ([one, x, x * x, x * x * x, x * x * x * x], [one, y, y * y, y * y * y, y * y * y * y]);
+        let mut products = [one; PRODUCTS];
+        for (product, [i, j]) in products.iter_mut().zip(EXPONENTS) {
+            *product = x[i] * y[j];
+        }
+        Self(products)
     }
 }
 
@@ -199,41 +303,48 @@ impl<R: Real> Monomials<R> {
 #[derive(Clone, Copy)]
 struct Fit<R> {
     /// Σ w monomial.
-    moments: [R; PRODUCTS],
+    moments: [Lanes<R>; PRODUCTS],
     /// Σ w term value, by channel.
-    values: [[R; TERMS]; 3],
+    values: [[Lanes<R>; TERMS]; 3],
 }
 
 impl<R: Real> Fit<R> {
     fn new() -> Self {
-        Self { moments: [R::of(0.0); PRODUCTS], values: [[R::of(0.0); TERMS]; 3] }
+        let none = Lanes::splat(R::of(0.0));
+        Self { moments: [none; PRODUCTS], values: [[none; TERMS]; 3] }
     }
 
-    fn add(&mut self, weight: R, Monomials(monomials): &Monomials<R>, value: V3<R>) {
-        let weighted = monomials.map(|m| weight * m);
-        (0..PRODUCTS).for_each(|k| self.moments[k] = self.moments[k] + weighted[k]);
-        for (sums, value) in self.values.iter_mut().zip(value.0) {
-            (0..TERMS).for_each(|k| sums[k] = sums[k] + weighted[k] * value);
+    #[inline(always)]
+    fn add(&mut self, weight: Lanes<R>, Monomials(monomials): &Monomials<R>, value: [Lanes<R>; 3]) {
+        for k in 0..PRODUCTS {
+            let weighted = weight * monomials[k];
+            self.moments[k] = self.moments[k] + weighted;
+            if k < TERMS {
+                for c in 0..3 {
+                    self.values[c][k] = self.values[c][k] + weighted * value[c];
+                }
+            }
         }
     }
 
     /// The fitted value at the centre, `ridge` the weight of there being no curvature; the weighted mean where
     /// extrapolation makes it negative. `None` where neither is a number.
     fn centre(&self, ridge: R) -> Option<V3<R>> {
-        let weight = self.moments[0].value();
+        let (moments, values) = (self.moments.map(Lanes::sum), self.values.map(|terms| terms.map(Lanes::sum)));
+        let weight = moments[0].value();
         let mut matrix = [0.0; TERMS * TERMS];
         for (r, [xr, yr]) in EXPONENTS[..TERMS].iter().enumerate() {
             for (c, [xc, yc]) in EXPONENTS[..TERMS].iter().enumerate() {
                 let product = EXPONENTS.iter().position(|e| *e == [xr + xc, yr + yc])?;
-                matrix[r * TERMS + c] = self.moments[product].value();
+                matrix[r * TERMS + c] = moments[product].value();
             }
             let curved = if xr + yr == 2 { ridge.value() } else { 0.0 };
             matrix[r * TERMS + r] += if r > 0 { f64::from(RIDGE) * weight + curved } else { 0.0 };
         }
-        let mut terms: [[f64; 3]; TERMS] = std::array::from_fn(|k| self.values.map(|v| v[k].value()));
+        let mut terms: [[f64; 3]; TERMS] = std::array::from_fn(|k| values.map(|v| v[k].value()));
         cholesky::solve(&mut matrix, &mut terms)?;
         let fitted = V3(terms[0].map(R::of));
-        let mean = V3(self.values.map(|v| v[0])) * (R::of(1.0) / self.moments[0]);
+        let mean = V3(values.map(|v| v[0])) * (R::of(1.0) / moments[0]);
         let plausible = |v: &V3<R>| v.0.iter().all(|c| c.value().is_finite() && c.value() >= 0.0);
         [fitted, mean].into_iter().find(plausible)
     }

@@ -5,6 +5,7 @@ mod cwbvh;
 pub mod denoise;
 pub mod group_loss;
 pub mod irradiance;
+mod lanes;
 pub mod light_sampling;
 pub mod lookup;
 pub mod primary;

@@ -1,0 +1,184 @@
+//! The two passes of the denoiser that look far: cell by cell, what is around a cell laid out once for all its points, and several of
+//! it taken at once.
+
+use glam::Vec3A;
+use pulp::{Arch, NullaryFnOnce};
+use rayon::prelude::*;
+
+use crate::cpu::lanes::{LANES, Lanes};
+use crate::denoise::{Noisy, RADIUS};
+use crate::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
+use crate::real::Real;
+
+/// What is found at a point by what is `TOLD` of the points within [`RADIUS`]. Its methods at a point have to be inlined, for the
+/// instructions of [`each`].
+pub trait Pass<R: Real, const TOLD: usize>: Sync {
+    /// What is known of a point and summed over those around it.
+    type Sums;
+    /// What is found.
+    type Found: Copy + Send + Sync;
+    /// What is told of point `j`.
+    fn told(&self, j: usize) -> [R; TOLD];
+    /// Nothing summed yet at point `i`.
+    fn start(&self, i: usize) -> Self::Sums;
+    /// Adds several points: their offsets in shares of the radius, 1 less the square of these (how near they are; 0 for those that have
+    /// no say), and what is told of them.
+    fn add(sums: &mut Self::Sums, at: [Lanes<R>; 3], near: Lanes<R>, told: &[Lanes<R>; TOLD]);
+    /// What is found at point `i`.
+    fn found(&self, i: usize, sums: Self::Sums) -> Self::Found;
+}
+
+/// What a pass finds at every one of what is `noisy`, apart from its halves.
+pub fn each<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
+    pass: &P,
+    neighbours: &Neighbours<FAR>,
+    Noisy { points, apart, texel, .. }: Noisy<'_>,
+) -> Vec<P::Found> {
+    let radius = RADIUS * texel;
+    let widest = Arch::new();
+    let at_cell = |around: &mut Around<R, TOLD>, own: &[Entry]| {
+        let near = neighbours.around(own[0].cell).filter(near(own, radius));
+        around.lay_out(near, |entry| {
+            let i = entry.index as usize;
+            (points[i].sequence as usize % LANES, apart[i], pass.told(i))
+        });
+        widest.dispatch(Cell { pass, own, apart, around, radius })
+    };
+    let by_cell: Vec<Vec<P::Found>> =
+        neighbours.entries.par_chunk_by(|a, b| a.cell == b.cell).map_init(Around::new, at_cell).collect();
+    neighbours.by_point(&by_cell.concat())
+}
+
+/// Whether a point may be within `radius` metres of one of a cell's `own`: it is of the box around them.
+fn near(own: &[Entry], radius: f32) -> impl Fn(&&Entry) -> bool {
+    let places = own.iter().map(|entry| Vec3A::from(entry.position));
+    let low = places.clone().fold(Vec3A::MAX, Vec3A::min);
+    let high = places.fold(Vec3A::MIN, Vec3A::max);
+    move |entry| {
+        let place = Vec3A::from(entry.position);
+        place.distance_squared(place.clamp(low, high)) <= radius * radius
+    }
+}
+
+/// What is around a cell, in whole lanes, and how it lies to one of the cell's points. A point's lane is its own, and those of a lane
+/// are in the order of the columns, so that sums come out alike whatever else is around. Where lanes have no more points, normals
+/// are 0, and none lies near.
+struct Around<R, const TOLD: usize> {
+    position: [Vec<f32>; 3],
+    normal: [Vec<f32>; 3],
+    apart: Vec<f32>,
+    told: Vec<[Lanes<R>; TOLD]>,
+    /// Offsets from a point in shares of the radius,
+    at: [Vec<R>; 3],
+    /// and 1 less the square of these, or 0.
+    near: Vec<R>,
+}
+
+impl<R: Real, const TOLD: usize> Around<R, TOLD> {
+    fn new() -> Self {
+        Self {
+            position: Default::default(),
+            normal: Default::default(),
+            apart: Vec::new(),
+            told: Vec::new(),
+            at: [Vec::new(), Vec::new(), Vec::new()],
+            near: Vec::new(),
+        }
+    }
+
+    /// Lays out what is around a cell: `tell` gives the lane of a point, whether it is apart, and what a pass is told of it.
+    fn lay_out<'a>(
+        &mut self,
+        entries: impl Iterator<Item = &'a Entry>,
+        tell: impl Fn(&Entry) -> (usize, bool, [R; TOLD]),
+    ) {
+        let Self { position, normal, apart, told, at, near } = self;
+        position.iter_mut().chain(normal.iter_mut()).for_each(Vec::clear);
+        apart.clear();
+        told.clear();
+        let mut rows = [0; LANES];
+        for entry in entries {
+            let (lane, is_apart, tells) = tell(entry);
+            let row = rows[lane];
+            rows[lane] += 1;
+            if row == told.len() {
+                told.push([Lanes::splat(R::of(0.0)); TOLD]);
+                let whole = LANES * told.len();
+                position.iter_mut().chain(normal.iter_mut()).for_each(|list| list.resize(whole, 0.0));
+                apart.resize(whole, 0.0);
+            }
+            let place = LANES * row + lane;
+            position.iter_mut().zip(entry.position).for_each(|(list, value)| list[place] = value);
+            normal.iter_mut().zip(entry.normal).for_each(|(list, value)| list[place] = value);
+            apart[place] = f32::from(u8::from(is_apart));
+            told[row].iter_mut().zip(tells).for_each(|(lanes, value)| lanes.0[lane] = value);
+        }
+        at.iter_mut().for_each(|list| list.resize(apart.len(), R::of(0.0)));
+        near.resize(apart.len(), R::of(0.0));
+    }
+
+    /// How all lie to one point: a loop over plain lists, which compiles to the widest instructions.
+    #[inline(always)]
+    fn seen_from(&mut self, own: &Entry, is_apart: bool, radius: f32) {
+        let whole = self.near.len();
+        let [x, y, z] = [&self.position[0][..whole], &self.position[1][..whole], &self.position[2][..whole]];
+        let [nx, ny, nz] = [&self.normal[0][..whole], &self.normal[1][..whole], &self.normal[2][..whole]];
+        let apart = &self.apart[..whole];
+        let [at_x, at_y, at_z] = &mut self.at;
+        let (at_x, at_y, at_z) = (&mut at_x[..whole], &mut at_y[..whole], &mut at_z[..whole]);
+        let near = &mut self.near[..whole];
+        let ([px, py, pz], [ox, oy, oz]) = (own.position, own.normal);
+        let (is_apart, none, one) = (f32::from(u8::from(is_apart)), R::of(0.0), R::of(1.0));
+        let scale = one / R::of(f64::from(radius));
+        for k in 0..whole {
+            let (dx, dy, dz) = (x[k] - px, y[k] - py, z[k] - pz);
+            let square = dx * dx + dy * dy + dz * dz;
+            let beside = dx * ox + dy * oy + dz * oz;
+            let facing = nx[k] * ox + ny[k] * oy + nz[k] * oz;
+            let real = |v: f32| R::of(f64::from(v)) * scale;
+            let (ax, ay, az) = (real(dx), real(dy), real(dz));
+            let nearness = one - (ax * ax + ay * ay + az * az);
+            let has_a_say = (square < radius * radius)
+                & (beside.abs() < BESIDE * radius)
+                & (facing > SAME_WAY)
+                & (apart[k] == is_apart)
+                & (nearness > none);
+            // What is far away must not overflow in a product with no weight.
+            let of = |v: R| if has_a_say { v } else { none };
+            (at_x[k], at_y[k], at_z[k], near[k]) = (of(ax), of(ay), of(az), of(nearness));
+        }
+    }
+}
+
+/// A pass at the points of a cell.
+struct Cell<'a, R, const TOLD: usize, P> {
+    pass: &'a P,
+    own: &'a [Entry],
+    apart: &'a [bool],
+    around: &'a mut Around<R, TOLD>,
+    radius: f32,
+}
+
+impl<R: Real, const TOLD: usize, P: Pass<R, TOLD>> NullaryFnOnce for Cell<'_, R, TOLD, P> {
+    type Output = Vec<P::Found>;
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let Self { pass, own, apart, around, radius } = self;
+        let mut found = Vec::with_capacity(own.len());
+        for entry in own {
+            let i = entry.index as usize;
+            around.seen_from(entry, apart[i], radius);
+            let mut sums = pass.start(i);
+            for (k, told) in around.told.iter().enumerate() {
+                let near = Lanes::of(&around.near, k);
+                if !near.is_none() {
+                    let at = [Lanes::of(&around.at[0], k), Lanes::of(&around.at[1], k), Lanes::of(&around.at[2], k)];
+                    P::add(&mut sums, at, near, told);
+                }
+            }
+            found.push(pass.found(i, sums));
+        }
+        found
+    }
+}
