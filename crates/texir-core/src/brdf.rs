@@ -35,6 +35,7 @@ pub fn distribution<R: Real>(nh: R, r: R) -> R {
 
 /// [`distribution`] by sin²θ_h instead of nh: D = α² / (π (α² + sin²θ_h (1−α²))²). In single precision nh cannot resolve the
 /// peak of a smooth lobe; the sine of a small angle can.
+#[inline]
 pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
     let a2 = r * r * r * r;
     let d = a2 + sin2 * (R::of(1.0) - a2);
@@ -54,6 +55,7 @@ pub enum Masking {
 
 impl Masking {
     /// g(c) at perceptual roughness r.
+    #[inline]
     pub fn at<R: Real>(self, c: R, r: R) -> R {
         match self {
             Self::Schlick => schlick(c, r),
@@ -63,12 +65,14 @@ impl Masking {
 }
 
 /// g(c) = 2/(c + √(α² + (1−α²)c²)) (Walter et al., "Microfacet Models for Refraction through Rough Surfaces", 2007, eq. 34).
+#[inline]
 pub fn smith<R: Real>(c: R, r: R) -> R {
     let a2 = r * r * r * r;
     R::of(2.0) / (c + (a2 + (R::of(1.0) - a2) * c * c).sqrt())
 }
 
 /// g(c) = 1/(c(1−k)+k), k = (r+1)²/8 (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994, with Karis' k).
+#[inline]
 pub fn schlick<R: Real>(c: R, r: R) -> R {
     let k = (r + R::of(1.0)) * (r + R::of(1.0)) * R::of(0.125);
     R::of(1.0) / (c * (R::of(1.0) - k) + k)

@@ -1,11 +1,13 @@
 //! Specular tables, twin of `specular_table.wgsl`: light samples of a pixel drawn once, weighed at every tabulated
 //! roughness.
 
+use pulp::{Arch, NullaryFnOnce};
+
 use super::irradiance::cosine_direction;
 use super::light_sampling::{light_density, light_point};
 use super::trace::{Lighting, Trace, TraceHit};
 use crate::backend::ShadePoint;
-use crate::brdf::{basis, distribution_at, fresnel_weight, sample_half_vector};
+use crate::brdf::{Masking, basis, distribution_at, fresnel_weight, sample_half_vector};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -23,13 +25,14 @@ pub fn specular_table<R: Real, T: Trace<R>>(
 ) -> [V3<R>; NODES] {
     let seed = hash2(sampling.seed, strata[0].sequence);
     let sampling = TableSampling { light: if lights.is_empty() { 0 } else { sampling.light }, ..sampling };
-    let mut sums = [V3::zero(); NODES];
+    let mut sums = [[R::of(0.0); NODES]; 3];
+    let widest = Arch::new();
     let nodes: [R; NODES] = std::array::from_fn(|k| R::of(f64::from(node(k))));
     for (stratum, point) in strata.iter().enumerate() {
         let nv = V3::<R>::of(point.normal).dot(V3::of(point.view)).max(R::of(0.0)).min(R::of(1.0));
         let seen = nodes.map(|r| sampling.masking.at(nv, r) * R::of(0.25));
         let table = lights.table(point.position.into(), point.normal.into());
-        let drawn = Drawn { lighting, lights, table, point, f0, sampling, nodes: &nodes, seen: &seen };
+        let drawn = Drawn { lighting, lights, table, point, f0, sampling, nodes: &nodes, seen: &seen, widest };
         let sequence = |technique: usize, samples: u32| {
             let first = stratum as u32 * samples;
             (first..first + samples).map(move |i| (i, hash2(seed, technique as u32)))
@@ -50,7 +53,7 @@ pub fn specular_table<R: Real, T: Trace<R>>(
             drawn.add((target - V3::of(point.position)).normalize(), Some(triangle), &mut sums);
         }
     }
-    sums.map(|s| s * R::of(1.0 / STRATA as f64))
+    std::array::from_fn(|k| V3(sums.map(|sums| sums[k])) * R::of(1.0 / STRATA as f64))
 }
 
 /// One stratum's point and what directions are weighed with.
@@ -66,6 +69,7 @@ struct Drawn<'a, R, T> {
     nodes: &'a [R; NODES],
     /// g(nv)/4 at every node.
     seen: &'a [R; NODES],
+    widest: Arch,
 }
 
 impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
@@ -80,7 +84,7 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
     }
 
     /// Traces a direction and adds it to every node. A light sample counts only where it reaches its own triangle.
-    fn add(&self, direction: V3<R>, aimed_at: Option<u32>, sums: &mut [V3<R>; NODES]) {
+    fn add(&self, direction: V3<R>, aimed_at: Option<u32>, sums: &mut [[R; NODES]; 3]) {
         let (zero, one) = (R::of(0.0), R::of(1.0));
         let (normal, view) = (V3::of(self.point.normal), V3::of(self.point.view));
         let (nl, nv) = (normal.dot(direction), normal.dot(view));
@@ -102,10 +106,8 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
         let fresnel = fresnel_weight(lobe.vh);
         let fresnel = R::of(f64::from(self.f0)) * (one - fresnel) + fresnel;
         let light = self.lighting.radiance_at(&hit) * (lobe.nl * fresnel / self.density(&lobe, &hit, direction));
-        // f_s / F = D g(nl) g(nv) / 4.
-        for ((sum, &r), &seen) in sums.iter_mut().zip(self.nodes).zip(self.seen) {
-            *sum = *sum + light * (distribution_at(lobe.sin2, r) * self.sampling.masking.at(lobe.nl, r) * seen);
-        }
+        let masking = self.sampling.masking;
+        self.widest.dispatch(AtEveryNode { light, lobe, masking, nodes: self.nodes, seen: self.seen, sums });
     }
 
     /// Σ_j n_j p_j: how densely all techniques together draw a direction, per solid angle.
@@ -116,6 +118,35 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
             + n(self.sampling.cosine) * lobe.nl * R::of(std::f64::consts::FRAC_1_PI)
             + n(self.sampling.light)
                 * light_density(self.lighting.tracer.mesh(), self.lights, self.table, hit, direction)
+    }
+}
+
+/// Adds what every node reflects of some light: several at once, by the widest instructions that the processor has.
+struct AtEveryNode<'a, R> {
+    light: V3<R>,
+    lobe: Lobe<R>,
+    masking: Masking,
+    nodes: &'a [R; NODES],
+    seen: &'a [R; NODES],
+    sums: &'a mut [[R; NODES]; 3],
+}
+
+impl<R: Real> NullaryFnOnce for AtEveryNode<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { light: V3(light), lobe, masking, nodes, seen, sums } = self;
+        let mut reflected = [R::of(0.0); NODES];
+        for k in 0..NODES {
+            // f_s / F = D g(nl) g(nv) / 4.
+            reflected[k] = distribution_at(lobe.sin2, nodes[k]) * masking.at(lobe.nl, nodes[k]) * seen[k];
+        }
+        for (sums, light) in sums.iter_mut().zip(light) {
+            for k in 0..NODES {
+                sums[k] = sums[k] + light * reflected[k];
+            }
+        }
     }
 }
 
