@@ -18,6 +18,7 @@ use crate::camera::Camera;
 use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
+use crate::fit::adjacency::NONE;
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
 use crate::raster::{Mask, Raster};
@@ -29,7 +30,7 @@ use crate::texture::Rows;
 /// The smallest n·v that areas are told at.
 const GRAZING: f32 = 0.05;
 
-/// The pixels that take part, all views after one another. Pixels that miss the mesh, are masked or unknown, or see a
+/// The pixels that take part, all views after one another, those of a view by the texels that they see. Pixels that miss the mesh, are masked or unknown, or see a
 /// light source even in part are left out. Lists are per pixel.
 #[derive(Default)]
 pub struct Observations {
@@ -181,24 +182,47 @@ impl Observer<'_> {
             let angle = edge as f32 * view.camera.pixel_angle();
             Ok::<_, Error>(reflections::share(&curves, &blocks, &mirrors, angle, self.settings.curve_sharing))
         };
-        all.curves.extend(tables(&format!("view-{number}"), DIELECTRIC_F0 as f32)?);
-        if self.settings.metallic.enabled {
-            all.white_curves.extend(tables(&format!("view-{number}-white"), 1.0)?);
-        }
-        all.block.extend(blocks.of.iter().map(|block| first + block));
-        for (cosine, least_cosine, area) in shown {
-            all.cosine.push(cosine);
-            all.least_cosine.push(least_cosine);
-            all.area.push(area);
+        let curves = tables(&format!("view-{number}"), DIELECTRIC_F0 as f32)?;
+        let white_curves = match self.settings.metallic.enabled {
+            true => tables(&format!("view-{number}-white"), 1.0)?,
+            false => Vec::new(),
+        };
+        // Pixels that see the same texels come together, and their curves with them: whoever goes through a band of the texels finds
+        // all that is known of its pixels together in memory.
+        let mut order: Vec<usize> = (0..pixels.len()).collect();
+        order.sort_by_key(|&i| pixels[i].1[0].texel);
+        let number_of = renumbered(order.iter().map(|&i| blocks.of[i]), corners.len());
+        for (all, curves) in [(&mut all.curves, curves), (&mut all.white_curves, white_curves)] {
+            let start = all.len();
+            all.extend_from_slice(&curves);
+            curves.iter().zip(&number_of).for_each(|(curve, number)| all[start + *number as usize] = *curve);
         }
         all.views.push(pixels.len());
-        for (pixel, shares) in pixels {
-            all.radiance.push(Vec3A::from(image.data[pixel]));
-            all.at_rim.push(at_rim[pixel]);
-            all.rows.push(shares);
+        for i in order {
+            let ((pixel, shares), (cosine, least_cosine, area)) = (&pixels[i], shown[i]);
+            all.radiance.push(Vec3A::from(image.data[*pixel]));
+            all.cosine.push(cosine);
+            all.least_cosine.push(least_cosine);
+            all.at_rim.push(at_rim[*pixel]);
+            all.area.push(area);
+            all.block.push(first + number_of[blocks.of[i] as usize]);
+            all.rows.push(shares.iter().copied());
         }
         Ok(())
     }
+}
+
+/// New numbers of `count` things: in the order in which they come first.
+fn renumbered(order: impl Iterator<Item = u32>, count: usize) -> Vec<u32> {
+    let (mut numbers, mut next) = (vec![NONE; count], 0);
+    for thing in order {
+        let number = &mut numbers[thing as usize];
+        if *number == NONE {
+            *number = next;
+            next += 1;
+        }
+    }
+    numbers
 }
 
 /// What the strata of a view's pixels hit.
