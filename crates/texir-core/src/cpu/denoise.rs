@@ -316,12 +316,12 @@ impl<R: Real> Fit<R> {
 
     #[inline(always)]
     fn add(&mut self, weight: Lanes<R>, Monomials(monomials): &Monomials<R>, value: [Lanes<R>; 3]) {
-        for k in 0..PRODUCTS {
-            let weighted = weight * monomials[k];
+        for (k, monomial) in monomials.iter().enumerate() {
+            let weighted = weight * *monomial;
             self.moments[k] = self.moments[k] + weighted;
             if k < TERMS {
-                for c in 0..3 {
-                    self.values[c][k] = self.values[c][k] + weighted * value[c];
+                for (sums, value) in self.values.iter_mut().zip(value) {
+                    sums[k] = sums[k] + weighted * value;
                 }
             }
         }

@@ -63,15 +63,16 @@ pub fn backs(scene: &Scene, atlas: &Atlas) -> Vec<[u32; 2]> {
 /// stays unlabelled. `texel` is the edge of a typical texel, metres.
 pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) -> Vec<Option<u16>> {
     let mut labels = known.to_vec();
-    let labelled: Vec<(usize, u16)> = known.iter().enumerate().filter_map(|(t, label)| Some((t, (*label)?))).collect();
+    let labelled: Vec<u32> = (0..).zip(known).filter_map(|(t, label)| label.map(|_| t)).collect();
     for edge in CELLS.map(|edge| edge * texel) {
         let place = |t: usize| Vec3::from(atlas.points[t].position) / edge;
         let cell = |t: usize| (place(t).floor().as_ivec3(), surface[t]);
+        let key = |t: u32| (known[t as usize], cell(t as usize));
         let mut cells: HashMap<(IVec3, u32), Vec<(u16, u32)>> = HashMap::new();
         // Texels beside each other in the atlas mostly lie in one cell.
-        for run in labelled.chunk_by(|a, b| a.1 == b.1 && cell(a.0) == cell(b.0)) {
-            let (t, label) = run[0];
-            let counts = cells.entry(cell(t)).or_default();
+        for run in labelled.chunk_by(|a, b| key(*a) == key(*b)) {
+            let (Some(label), cell) = key(run[0]) else { continue };
+            let counts = cells.entry(cell).or_default();
             match counts.iter_mut().find(|(known, _)| *known == label) {
                 Some((_, count)) => *count += run.len() as u32,
                 None => counts.push((label, run.len() as u32)),
