@@ -99,6 +99,13 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
         self.places.par_iter().map(|&place| by_entry[place as usize]).collect()
     }
 
+    /// The points of a cell.
+    pub fn cell(&self, cell: u32) -> &[Entry] {
+        let first = self.entries.partition_point(|entry| entry.cell < cell);
+        let end = self.entries.partition_point(|entry| entry.cell <= cell);
+        &self.entries[first..end]
+    }
+
     /// All points of the columns around a cell.
     pub fn around(&self, cell: u32) -> impl Iterator<Item = &Entry> {
         self.spans[cell as usize].iter().flat_map(|&[start, end]| &self.entries[start as usize..end as usize])

@@ -28,6 +28,9 @@ pub trait Pass<R: Real, const TOLD: usize>: Sync {
     fn found(&self, i: usize, sums: Self::Sums) -> Self::Found;
 }
 
+/// Points that a thread takes one after another, at least: those of many cells.
+const CELLS: usize = 1024;
+
 /// What a pass finds at every one of what is `noisy`, apart from its halves.
 pub fn each<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
     pass: &P,
@@ -36,17 +39,20 @@ pub fn each<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
 ) -> Vec<P::Found> {
     let radius = RADIUS * texel;
     let widest = Arch::new();
-    let at_cell = |around: &mut Around<R, TOLD>, own: &[Entry]| {
-        let near = neighbours.around(own[0].cell).filter(near(own, radius));
-        around.lay_out(near, |entry| {
-            let i = entry.index as usize;
-            (points[i].sequence as usize % LANES, apart[i], pass.told(i))
-        });
-        widest.dispatch(Cell { pass, own, apart, around, radius })
+    let at_point = |around: &mut Around<R, TOLD>, own: &Entry| {
+        if around.cell != Some(own.cell) {
+            let near = neighbours.around(own.cell).filter(near(neighbours.cell(own.cell), radius));
+            around.lay_out(own.cell, near, |entry| {
+                let i = entry.index as usize;
+                (points[i].sequence as usize % LANES, apart[i], pass.told(i))
+            });
+        }
+        widest.dispatch(AtPoint { pass, own, is_apart: apart[own.index as usize], around, radius })
     };
-    let by_cell: Vec<Vec<P::Found>> =
-        neighbours.entries.par_chunk_by(|a, b| a.cell == b.cell).map_init(Around::new, at_cell).collect();
-    neighbours.by_point(&by_cell.concat())
+    // In the order of the cells, so that most points find theirs laid out.
+    let by_entry: Vec<P::Found> =
+        neighbours.entries.par_iter().with_min_len(CELLS).map_init(Around::new, at_point).collect();
+    neighbours.by_point(&by_entry)
 }
 
 /// Whether a point may be within `radius` metres of one of a cell's `own`: it is of the box around them.
@@ -64,6 +70,8 @@ fn near(own: &[Entry], radius: f32) -> impl Fn(&&Entry) -> bool {
 /// are in the order of the columns, so that sums come out alike whatever else is around. Where lanes have no more points, normals
 /// are 0, and none lies near.
 struct Around<R, const TOLD: usize> {
+    /// Which cell.
+    cell: Option<u32>,
     position: [Vec<f32>; 3],
     normal: [Vec<f32>; 3],
     apart: Vec<f32>,
@@ -77,6 +85,7 @@ struct Around<R, const TOLD: usize> {
 impl<R: Real, const TOLD: usize> Around<R, TOLD> {
     fn new() -> Self {
         Self {
+            cell: None,
             position: Default::default(),
             normal: Default::default(),
             apart: Vec::new(),
@@ -89,10 +98,12 @@ impl<R: Real, const TOLD: usize> Around<R, TOLD> {
     /// Lays out what is around a cell: `tell` gives the lane of a point, whether it is apart, and what a pass is told of it.
     fn lay_out<'a>(
         &mut self,
+        cell: u32,
         entries: impl Iterator<Item = &'a Entry>,
         tell: impl Fn(&Entry) -> (usize, bool, [R; TOLD]),
     ) {
-        let Self { position, normal, apart, told, at, near } = self;
+        self.cell = Some(cell);
+        let Self { position, normal, apart, told, at, near, .. } = self;
         position.iter_mut().chain(normal.iter_mut()).for_each(Vec::clear);
         apart.clear();
         told.clear();
@@ -150,35 +161,30 @@ impl<R: Real, const TOLD: usize> Around<R, TOLD> {
     }
 }
 
-/// A pass at the points of a cell.
-struct Cell<'a, R, const TOLD: usize, P> {
+/// A pass at a point.
+struct AtPoint<'a, R, const TOLD: usize, P> {
     pass: &'a P,
-    own: &'a [Entry],
-    apart: &'a [bool],
+    own: &'a Entry,
+    is_apart: bool,
     around: &'a mut Around<R, TOLD>,
     radius: f32,
 }
 
-impl<R: Real, const TOLD: usize, P: Pass<R, TOLD>> NullaryFnOnce for Cell<'_, R, TOLD, P> {
-    type Output = Vec<P::Found>;
+impl<R: Real, const TOLD: usize, P: Pass<R, TOLD>> NullaryFnOnce for AtPoint<'_, R, TOLD, P> {
+    type Output = P::Found;
 
     #[inline(always)]
-    fn call(self) -> Self::Output {
-        let Self { pass, own, apart, around, radius } = self;
-        let mut found = Vec::with_capacity(own.len());
-        for entry in own {
-            let i = entry.index as usize;
-            around.seen_from(entry, apart[i], radius);
-            let mut sums = pass.start(i);
-            for (k, told) in around.told.iter().enumerate() {
-                let near = Lanes::of(&around.near, k);
-                if !near.is_none() {
-                    let at = [Lanes::of(&around.at[0], k), Lanes::of(&around.at[1], k), Lanes::of(&around.at[2], k)];
-                    P::add(&mut sums, at, near, told);
-                }
+    fn call(self) -> P::Found {
+        let Self { pass, own, is_apart, around, radius } = self;
+        around.seen_from(own, is_apart, radius);
+        let mut sums = pass.start(own.index as usize);
+        for (k, told) in around.told.iter().enumerate() {
+            let near = Lanes::of(&around.near, k);
+            if !near.is_none() {
+                let at = [Lanes::of(&around.at[0], k), Lanes::of(&around.at[1], k), Lanes::of(&around.at[2], k)];
+                P::add(&mut sums, at, near, told);
             }
-            found.push(pass.found(i, sums));
         }
-        found
+        pass.found(own.index as usize, sums)
     }
 }
