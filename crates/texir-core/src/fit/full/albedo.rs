@@ -234,10 +234,12 @@ impl<'a> AlbedoProblem<'a> {
         noise
     }
 
-    /// Improves `albedo` at a known roughness of every texel by `rounds` runs of the solver.
-    pub fn solve_at(&self, albedo: &mut [Vec3A], roughness: &[f32], rounds: u32) {
-        let roughness = Roughness::Texels(roughness);
-        let (target, sigma) = (self.target(&roughness), self.noise_at(&roughness));
+    /// Improves `albedo` at a known roughness of every texel by `rounds` runs of the solver. A list that is given away is not kept
+    /// in memory meanwhile.
+    pub fn solve_at(&self, albedo: &mut [Vec3A], roughness: impl AsRef<[f32]>, rounds: u32) {
+        let of_texels = Roughness::Texels(roughness.as_ref());
+        let (target, sigma) = (self.target(&of_texels), self.noise_at(&of_texels));
+        drop(roughness);
         self.solve(albedo, &target, &sigma, rounds, self.settings.iterations);
     }
 

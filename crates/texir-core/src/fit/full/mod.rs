@@ -131,7 +131,7 @@ fn recover(
     // One roughness for each segment,
     let Scanned { diffuse, mut albedo, evidence, tallies, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
-    problem.solve_at(&mut albedo, &segments.of_texels(&by_segment), 1);
+    problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1);
 
     // others for its colours, and where it has two finishes, of which pixels that see joints would make a mixture,
     let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints, progress)?;
@@ -161,7 +161,7 @@ fn recover(
     let with_joints = |roughness: &[f32]| -> Vec<f32> {
         joints.iter().zip(roughness).map(|(joint, r)| joint.map_or(*r, |joint| joint.on(*r))).collect()
     };
-    problem.solve_at(&mut albedo, &with_joints(&roughness), settings.albedo.rounds);
+    problem.solve_at(&mut albedo, with_joints(&roughness), settings.albedo.rounds);
 
     // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by blurring.
     let palettes = problem.palettes(&albedo, &settings.palette);
