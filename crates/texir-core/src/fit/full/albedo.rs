@@ -252,12 +252,8 @@ impl<'a> AlbedoProblem<'a> {
                 (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2))
             };
             let weight = sigma.par_iter().enumerate().with_min_len(BLOCK).map(weight).collect();
-            let means = self.segment_means(|t| self.seen.is_seen[t].then(|| albedo[t]));
             let system = System { problem: self, target, weight, edges: self.edge_weights(albedo) };
-            let mut right = system.transposed(|p| target.albedo[p]);
-            let prior = self.settings.segment_prior;
-            right.par_iter_mut().zip(self.segment.0).for_each(|(r, s)| *r += prior * means[*s as usize]);
-            conjugate_gradients(&system, albedo, right, iterations);
+            conjugate_gradients(&system, albedo, iterations);
             albedo.par_iter_mut().for_each(|a| *a = a.clamp(Vec3A::ZERO, Vec3A::ONE));
         }
     }
@@ -312,43 +308,55 @@ struct System<'a> {
     edges: Vec<[f32; 2]>,
 }
 
-impl System<'_> {
-    /// Rows to texels: s_t Σ_p w Ω_p gain_p v_p.
-    fn transposed(&self, pixel: impl Fn(usize) -> Vec3A + Sync) -> Vec<Vec3A> {
-        let p = self.problem;
-        let weighted = |i: usize| pixel(i) * p.gain(self.target, i) * self.weight[i];
-        let mut out =
-            p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, share, v| *sum += *v * share.weight());
-        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| *out *= p.strength(t));
-        out
-    }
+/// Where conjugate gradients start, of a texel.
+#[derive(Clone, Copy)]
+struct Start {
+    /// WᵀΩ target + prior − A x,
+    residual: Vec3A,
+    /// and the diagonal of A.
+    diagonal: Vec3A,
+}
 
+impl System<'_> {
     /// A x.
     fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
         let p = self.problem;
-        let mut out = self.transposed(|i| p.explained(x, self.target, i));
+        let weighted = |i: usize| p.explained(x, self.target, i) * p.gain(self.target, i) * self.weight[i];
+        let mut out =
+            p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, share, v| *sum += *v * share.weight());
         out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
-            *out += p.settings.segment_prior * x[t];
-            for (n, weight) in self.links(t) {
-                *out += weight * (x[t] - x[n as usize]);
-            }
+            *out = *out * p.strength(t) + p.settings.segment_prior * x[t] + self.apart(x, t);
         });
         out
     }
 
-    /// The diagonal of A.
-    fn diagonal(&self) -> Vec<Vec3A> {
+    /// What is left of the right-hand side at `x`, and the diagonal: both by going through the pixels once.
+    fn start(&self, x: &[Vec3A]) -> Vec<Start> {
         let p = self.problem;
-        let of_pixel = |i: usize| (p.gain(self.target, i), self.weight[i]);
-        let add = |sum: &mut Vec3A, share: &Share, (gain, weight): &(Vec3A, f32)| {
-            let row = p.strength(share.texel as usize) * *gain * share.weight();
-            *sum += row * row * *weight;
+        let means = p.segment_means(|t| p.seen.is_seen[t].then(|| x[t]));
+        let of_pixel = |i: usize| {
+            let (gain, weight) = (p.gain(self.target, i), self.weight[i]);
+            (p.residual(x, self.target, i) * gain * -weight, gain * gain * weight)
         };
-        let mut out = p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, of_pixel, add);
-        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, data)| {
-            *data = *data + p.settings.segment_prior + self.links(t).map(|(_, weight)| weight).sum::<f32>();
+        let zero = Start { residual: Vec3A::ZERO, diagonal: Vec3A::ZERO };
+        let add = |sum: &mut Start, share: &Share, (residual, square): &(Vec3A, Vec3A)| {
+            sum.residual += *residual * share.weight();
+            sum.diagonal += *square * share.weight().powi(2);
+        };
+        let mut out = p.seen.bands.sum(&p.seen.rows, zero, of_pixel, add);
+        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
+            let (strength, prior) = (p.strength(t), p.settings.segment_prior);
+            let drawn = prior * (means[p.segment.0[t] as usize] - x[t]);
+            out.residual = out.residual * strength + drawn - self.apart(x, t);
+            out.diagonal =
+                out.diagonal * strength * strength + prior + self.links(t).map(|(_, weight)| weight).sum::<f32>();
         });
         out
+    }
+
+    /// How far a texel's value is from its neighbours', by the weights of their links.
+    fn apart(&self, x: &[Vec3A], t: usize) -> Vec3A {
+        self.links(t).map(|(n, weight)| weight * (x[t] - x[n as usize])).sum()
     }
 
     /// Neighbours of a texel with their weights.
@@ -361,33 +369,34 @@ impl System<'_> {
     }
 }
 
-/// Jacobi-preconditioned conjugate gradients, the three channels side by side.
-fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], right: Vec<Vec3A>, iterations: u32) {
-    let mut inverse = system.diagonal();
-    inverse.par_iter_mut().for_each(|d| *d = 1.0 / d.max(Vec3A::splat(1e-12)));
-    let mut residual = right;
-    (&mut residual, system.apply(x)).into_par_iter().for_each(|(r, a)| *r -= a);
-    let mut direction: Vec<Vec3A> = (&residual, &inverse).into_par_iter().map(|(r, m)| *r * *m).collect();
-    let mut rho = dot(&residual, |i| residual[i] * inverse[i]);
+/// Jacobi-preconditioned conjugate gradients, the three channels side by side, from `x` on.
+fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], iterations: u32) {
+    // Of each texel, what is left and the inverse of the diagonal.
+    let mut left = system.start(x);
+    left.par_iter_mut().for_each(|of| of.diagonal = 1.0 / of.diagonal.max(Vec3A::splat(1e-12)));
+    let preconditioned = |of: &Start| of.residual * of.diagonal;
+    let mut direction: Vec<Vec3A> = left.par_iter().map(preconditioned).collect();
+    let energy = |left: &[Start]| sum(left, |_, of| of.residual * preconditioned(of));
+    let mut rho = energy(&left);
     for _ in 0..iterations {
         let image = system.apply(&direction);
-        let step = ratio(rho, dot(&direction, |i| image[i]));
+        let step = ratio(rho, sum(&direction, |i, d| *d * image[i]));
         (&mut *x, &direction).into_par_iter().for_each(|(x, d)| *x += step * *d);
-        (&mut residual, &image).into_par_iter().for_each(|(r, a)| *r -= step * *a);
-        let next = dot(&residual, |i| residual[i] * inverse[i]);
+        (&mut left, &image).into_par_iter().for_each(|(of, a)| of.residual -= step * *a);
+        let next = energy(&left);
         let turn = ratio(next, rho);
         rho = next;
-        (&mut direction, &residual, &inverse).into_par_iter().for_each(|(d, r, m)| *d = *r * *m + turn * *d);
+        (&mut direction, &left).into_par_iter().for_each(|(d, of)| *d = preconditioned(of) + turn * *d);
     }
 }
 
-/// Per channel, summed block by block in a fixed order.
-fn dot(a: &[Vec3A], b: impl Fn(usize) -> Vec3A + Sync) -> [f64; 3] {
-    let of_block = |(block, a): (usize, &[Vec3A])| {
-        let terms = a.iter().enumerate().map(|(i, a)| *a * b(block * BLOCK + i));
+/// The sum over the items, per channel, block by block in a fixed order.
+fn sum<T: Sync>(items: &[T], of: impl Fn(usize, &T) -> Vec3A + Sync) -> [f64; 3] {
+    let of_block = |(block, items): (usize, &[T])| {
+        let terms = items.iter().enumerate().map(|(i, item)| of(block * BLOCK + i, item));
         terms.sum::<Vec3A>().to_array().map(f64::from)
     };
-    let partial: Vec<[f64; 3]> = a.par_chunks(BLOCK).enumerate().map(of_block).collect();
+    let partial: Vec<[f64; 3]> = items.par_chunks(BLOCK).enumerate().map(of_block).collect();
     partial.iter().fold([0.0; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c]))
 }
 

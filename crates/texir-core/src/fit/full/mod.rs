@@ -152,10 +152,11 @@ fn recover(
     let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
     let mut roughness = local::refine(&surface, (&blocks, &plain), &by_segment, &of_colours, &settings.roughness.local);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
+    // What pixels cost takes more memory than all that is to come.
+    drop(evidence.cost);
     problem.solve_at(&mut albedo, &roughness, 1);
 
-    // and one for its joints. What pixels cost takes more memory than all that is to come.
-    drop(evidence.cost);
+    // and one for its joints.
     let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
     let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
     let with_joints = |roughness: &[f32]| -> Vec<f32> {
