@@ -308,13 +308,19 @@ struct System<'a> {
     edges: Vec<[f32; 2]>,
 }
 
-/// Where conjugate gradients start, of a texel.
+/// What conjugate gradients know of a texel.
 #[derive(Clone, Copy)]
-struct Start {
+struct Left {
     /// WᵀΩ target + prior − A x,
     residual: Vec3A,
-    /// and the diagonal of A.
-    diagonal: Vec3A,
+    /// and the inverse of A's diagonal, which preconditions it.
+    inverse: Vec3A,
+}
+
+impl Left {
+    fn preconditioned(&self) -> Vec3A {
+        self.residual * self.inverse
+    }
 }
 
 impl System<'_> {
@@ -330,26 +336,28 @@ impl System<'_> {
         out
     }
 
-    /// What is left of the right-hand side at `x`, and the diagonal: both by going through the pixels once.
-    fn start(&self, x: &[Vec3A]) -> Vec<Start> {
+    /// What is left at `x`, and the diagonal's inverse: both by going through the pixels once.
+    fn left(&self, x: &[Vec3A]) -> Vec<Left> {
         let p = self.problem;
         let means = p.segment_means(|t| p.seen.is_seen[t].then(|| x[t]));
         let of_pixel = |i: usize| {
             let (gain, weight) = (p.gain(self.target, i), self.weight[i]);
             (p.residual(x, self.target, i) * gain * -weight, gain * gain * weight)
         };
-        let zero = Start { residual: Vec3A::ZERO, diagonal: Vec3A::ZERO };
-        let add = |sum: &mut Start, share: &Share, (residual, square): &(Vec3A, Vec3A)| {
+        // The diagonal is summed where its inverse will be.
+        let zero = Left { residual: Vec3A::ZERO, inverse: Vec3A::ZERO };
+        let add = |sum: &mut Left, share: &Share, (residual, square): &(Vec3A, Vec3A)| {
             sum.residual += *residual * share.weight();
-            sum.diagonal += *square * share.weight().powi(2);
+            sum.inverse += *square * share.weight().powi(2);
         };
         let mut out = p.seen.bands.sum(&p.seen.rows, zero, of_pixel, add);
         out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
             let (strength, prior) = (p.strength(t), p.settings.segment_prior);
             let drawn = prior * (means[p.segment.0[t] as usize] - x[t]);
             out.residual = out.residual * strength + drawn - self.apart(x, t);
-            out.diagonal =
-                out.diagonal * strength * strength + prior + self.links(t).map(|(_, weight)| weight).sum::<f32>();
+            let links: f32 = self.links(t).map(|(_, weight)| weight).sum();
+            let diagonal = out.inverse * strength * strength + prior + links;
+            out.inverse = 1.0 / diagonal.max(Vec3A::splat(1e-12));
         });
         out
     }
@@ -371,12 +379,9 @@ impl System<'_> {
 
 /// Jacobi-preconditioned conjugate gradients, the three channels side by side, from `x` on.
 fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], iterations: u32) {
-    // Of each texel, what is left and the inverse of the diagonal.
-    let mut left = system.start(x);
-    left.par_iter_mut().for_each(|of| of.diagonal = 1.0 / of.diagonal.max(Vec3A::splat(1e-12)));
-    let preconditioned = |of: &Start| of.residual * of.diagonal;
-    let mut direction: Vec<Vec3A> = left.par_iter().map(preconditioned).collect();
-    let energy = |left: &[Start]| sum(left, |_, of| of.residual * preconditioned(of));
+    let mut left = system.left(x);
+    let mut direction: Vec<Vec3A> = left.par_iter().map(Left::preconditioned).collect();
+    let energy = |left: &[Left]| sum(left, |_, of| of.residual * of.preconditioned());
     let mut rho = energy(&left);
     for _ in 0..iterations {
         let image = system.apply(&direction);
@@ -386,7 +391,7 @@ fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], iterations: u32) {
         let next = energy(&left);
         let turn = ratio(next, rho);
         rho = next;
-        (&mut direction, &left).into_par_iter().for_each(|(d, of)| *d = preconditioned(of) + turn * *d);
+        (&mut direction, &left).into_par_iter().for_each(|(d, of)| *d = of.preconditioned() + turn * *d);
     }
 }
 

@@ -152,7 +152,7 @@ fn recover(
     let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
     let mut roughness = local::refine(&surface, (&blocks, &plain), &by_segment, &of_colours, &settings.roughness.local);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
-    // What pixels cost takes more memory than all that is to come.
+    // Nothing from here on asks what pixels cost, a tenth of a large fit's memory.
     drop(evidence.cost);
     problem.solve_at(&mut albedo, &roughness, 1);
 
