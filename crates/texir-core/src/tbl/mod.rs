@@ -10,6 +10,7 @@ mod blend;
 pub mod blur;
 pub mod exposure;
 mod joined;
+mod looks;
 mod photo;
 pub mod pose;
 mod sample;

@@ -18,17 +18,12 @@ use rayon::prelude::*;
 
 use super::Fusion;
 use super::joined::Joined;
+use super::looks::Looks;
 use super::photo::Photo;
-use super::shown::pixels_per_steradian;
-use crate::atlas::TexelIndex;
 use crate::backend::Backend;
-use crate::camera::Camera;
-use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::inpaint;
-use crate::raster::{Rgb, mean_of_channels};
-use crate::real::V3;
-use crate::surface::Hit;
+use crate::raster::mean_of_channels;
 use crate::texture::{Rows, Tap, merge};
 
 /// Richardson–Lucy iterations for texels: what is a pixel wide is sharp after about ten, what is a fraction of it after some
@@ -40,10 +35,6 @@ const PART_ITERATIONS: usize = 2000;
 const PART_PIXELS: f32 = 150.0;
 /// Share of a part's texels that must be taken for sources: what glows of a ceiling is no part of a lamp.
 const PART_SOURCES: f32 = 0.5;
-/// Rays through a pixel along each axis, at least and at most.
-const RAYS: (f32, f32) = (4.0, 16.0);
-/// Rays through a pixel per texel that it shows, along each axis: none shall be missed.
-const RAYS_PER_TEXEL: f32 = 1.5;
 /// What the pixels say of a texel counts against this many pixels that say that it is right: texels that are hardly seen
 /// stay as they are.
 const DAMPING: f32 = 0.1;
@@ -72,16 +63,6 @@ pub(super) struct AroundSources {
     pub mixed: Vec<Vec<usize>>,
 }
 
-/// Pixels at light sources.
-#[derive(Default)]
-struct Pixels {
-    /// View and index in its image.
-    place: Vec<(usize, usize)>,
-    radiance: Vec<Vec3>,
-    /// The texels that a pixel shows; they sum to the part of it that shows the mesh.
-    shares: Vec<Vec<Tap>>,
-}
-
 /// Resolves the light sources that are known from `blended`, one radiance per valid texel.
 pub(super) fn resolve(
     fusion: &Fusion<'_>,
@@ -92,17 +73,19 @@ pub(super) fn resolve(
 ) -> Result<AroundSources> {
     let limit = inpaint::source_limit(blended);
     let mut sources: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
-    let mut explained = explain_around(fusion, backend, load, blended, (&sources, joined))?;
-    for _ in 0..REVIEWS {
-        let Explained { texels, radiance, .. } = &explained;
-        let shining = texels.iter().zip(radiance).filter(|(_, radiance)| mean_of_channels(**radiance) > limit);
-        let new: Vec<usize> = shining.map(|(t, _)| *t as usize).filter(|&t| !sources[t]).collect();
-        if new.is_empty() {
-            break;
+    let mut looks = Looks::of(fusion.cameras.len());
+    let mut new: Vec<usize> = (0..sources.len()).filter(|&texel| sources[texel]).collect();
+    let mut reviews = 0..REVIEWS;
+    let explained = loop {
+        looks.add(fusion, backend, load, &new)?;
+        let explained = explained(fusion, &looks, blended, (&sources, joined));
+        let shining = explained.texels.iter().zip(&explained.radiance).filter(|(_, l)| mean_of_channels(**l) > limit);
+        new = shining.map(|(t, _)| *t as usize).filter(|&t| !sources[t]).collect();
+        if new.is_empty() || reviews.next().is_none() {
+            break explained;
         }
-        new.into_iter().for_each(|texel| sources[texel] = true);
-        explained = explain_around(fusion, backend, load, blended, (&sources, joined))?;
-    }
+        new.iter().for_each(|&texel| sources[texel] = true);
+    };
     let Explained { texels, radiance, place, rows } = explained;
     let mut shown = vec![0.0; texels.len()];
     rows.taps.iter().for_each(|tap| shown[tap.texel as usize] += tap.weight);
@@ -132,101 +115,34 @@ pub(super) struct Explained {
     rows: Rows,
 }
 
-/// Explains the pixels of all views at and beside the texels that are `sources`.
-pub(super) fn explain_around(
+/// The texels that explain what pixels show, where these texels are `sources`.
+pub(super) fn explained(
     fusion: &Fusion<'_>,
-    backend: &mut dyn Backend,
-    load: &mut dyn FnMut(usize) -> Result<Photo>,
+    looks: &Looks,
     blended: &[Option<[f32; 3]>],
     (sources, joined): (&[bool], &Joined),
-) -> Result<Explained> {
-    let Fusion { scene, atlas, cameras, progress, .. } = *fusion;
-    let points: Vec<_> = atlas.points.iter().zip(sources).filter(|(_, source)| **source).map(|(p, _)| *p).collect();
-    let index = TexelIndex::new(atlas);
-    let mut pixels = Pixels::default();
-    progress.start("light sources", cameras.len() as u64, "views");
-    for (view, camera) in cameras.iter().enumerate() {
-        progress.check()?;
-        let mut rays = vec![0u8; camera.pixels()];
-        for (at, point) in backend.project(&points, camera)?.iter().zip(&points).filter(|(at, _)| at.distance > 0.0) {
-            let area = atlas.texel_area(&scene.mesh, point.triangle);
-            let texels = at.distance / (area * at.cosine * pixels_per_steradian(camera)).sqrt();
-            let needed = (RAYS_PER_TEXEL * texels).ceil().clamp(RAYS.0, RAYS.1) as u8;
-            for pixel in around(camera, at.pixel) {
-                rays[pixel] = rays[pixel].max(needed);
-            }
-        }
-        pixels.add(fusion, view, &load(view)?.image, &rays, &index);
-        progress.advance(1);
-    }
-    progress.finish();
-    let texels = pixels.renumber(blended.len());
-    let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
-    let rows = Rows::from_lists(std::mem::take(&mut pixels.shares));
-    let parts = parts_of_lamps(fusion, joined, sources, &texels, (&pixels.place, &rows));
-    let limit = inpaint::source_limit(blended);
-    let start = explain_parts(&rows, &pixels.radiance, start, &parts, limit);
-    let beside = vec![Vec3::ZERO; rows.len()];
-    let radiance = explain(&rows, &pixels.radiance, &beside, &start, ITERATIONS);
-    Ok(Explained { texels, radiance, place: pixels.place, rows })
-}
-
-/// The pixel at continuous coordinates and its eight neighbours.
-fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
-    (0..9).filter_map(move |k| camera.pixel(x as i64 + k % 3 - 1, y as i64 + k / 3 - 1))
-}
-
-impl Pixels {
-    /// Adds a view's pixels with `rays` along each axis; those with 0 are left out, and so are those that show the back of
-    /// a surface, whose radiance the texture does not hold.
-    fn add(&mut self, fusion: &Fusion<'_>, view: usize, image: &Rgb, rays: &[u8], index: &TexelIndex) {
-        let (scene, camera) = (fusion.scene, &fusion.cameras[view]);
-        let origin = V3(camera.position().to_array());
-        let look = |pixel: usize| -> Option<Vec<Tap>> {
-            let (x, y) = ((pixel % camera.width) as f32, (pixel / camera.width) as f32);
-            let n = u32::from(rays[pixel]);
-            let weight = 1.0 / (n * n) as f32;
-            let mut taps = Vec::with_capacity((n * n) as usize);
-            for k in 0..n * n {
-                let (dx, dy) = ((k % n) as f32 + 0.5, (k / n) as f32 + 0.5);
-                let direction = camera.direction(x + dx / n as f32, y + dy / n as f32);
-                let Some(hit) = scene.closest(origin, V3(direction.to_array())).map(Hit::from) else { continue };
-                if scene.mesh.face_normal(hit.triangle).dot(direction) > 0.0 {
-                    return None;
-                }
-                taps.extend(index.nearest(hit.uv(&scene.mesh)).map(|texel| Tap { texel, weight }));
-            }
-            let shown = taps.len() as f32 * weight;
-            merge(&mut taps);
-            taps.iter_mut().for_each(|tap| tap.weight *= shown);
-            (!taps.is_empty()).then_some(taps)
-        };
-        let pixels: Vec<usize> = (0..rays.len()).filter(|&pixel| rays[pixel] > 0).collect();
-        let looks: Vec<_> = pixels.par_iter().map(|&pixel| look(pixel)).collect();
-        for (pixel, shares) in pixels.into_iter().zip(looks) {
-            let radiance = Vec3::from(image.data[pixel]);
-            if let Some(shares) = shares.filter(|_| radiance.is_finite()) {
-                self.place.push((view, pixel));
-                self.radiance.push(radiance);
-                self.shares.push(shares);
-            }
-        }
-    }
-
-    /// Numbers the texels that any pixel shows from 0, and returns which of `texels` they are.
-    fn renumber(&mut self, texels: usize) -> Vec<u32> {
-        let mut number = vec![NONE; texels];
-        let mut shown = Vec::new();
-        for tap in self.shares.iter_mut().flatten() {
+) -> Explained {
+    let (mut number, mut texels) = (vec![NONE; blended.len()], Vec::new());
+    let (mut place, mut seen, mut taps) = (Vec::new(), Vec::new(), Vec::new());
+    for (at, look) in looks.each() {
+        place.push(at);
+        seen.push(look.radiance);
+        let numbered = look.shares.iter().map(|tap| {
             let slot = &mut number[tap.texel as usize];
             if *slot == NONE {
-                *slot = shown.len() as u32;
-                shown.push(tap.texel);
+                *slot = texels.len() as u32;
+                texels.push(tap.texel);
             }
-            tap.texel = *slot;
-        }
-        shown
+            Tap { texel: *slot, ..*tap }
+        });
+        taps.push(numbered.collect::<Vec<Tap>>());
     }
+    let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
+    let rows = Rows::from_lists(taps);
+    let parts = parts_of_lamps(fusion, joined, sources, &texels, (&place, &rows));
+    let start = explain_parts(&rows, &seen, start, &parts, inpaint::source_limit(blended));
+    let radiance = explain(&rows, &seen, &vec![Vec3::ZERO; rows.len()], &start, ITERATIONS);
+    Explained { texels, radiance, place, rows }
 }
 
 /// What part of a light source a texel belongs to.

@@ -367,9 +367,10 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     let blended = fusion.blend(&mut backend, &mut load, &atlas.points).unwrap();
     let limit = inpaint::source_limit(&blended);
     let bright: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
-    let once =
-        sources::explain_around(&fusion, &mut backend, &mut load, &blended, (&bright, &Joined::new(&scene.mesh)))
-            .unwrap();
+    let mut looks = looks::Looks::of(cameras.len());
+    let at: Vec<usize> = (0..bright.len()).filter(|&t| bright[t]).collect();
+    looks.add(&fusion, &mut backend, &mut load, &at).unwrap();
+    let once = sources::explained(&fusion, &looks, &blended, (&bright, &Joined::new(&scene.mesh)));
     let mistaken = once.texels.iter().zip(&once.radiance).filter(|(t, r)| is_wall(**t as usize) && r.x > limit).count();
     assert!(mistaken > 5 && shining == 0, "{shining} texels of the wall shine, {mistaken} without reviews");
 }
