@@ -142,6 +142,19 @@ impl Camera {
         }
     }
 
+    /// Pixels per radian along the image's axes, near row `y`: the columns of a panorama crowd towards its poles (1/sin φ).
+    pub fn pixels_per_radian(&self, y: f32) -> Vec2 {
+        match self.projection {
+            Projection::Equirectangular => {
+                let rows = self.height as f32 / PI as f32;
+                let columns = self.width as f32 / TAU as f32;
+                let sin = (y / rows).sin();
+                Vec2::new(columns / sin.max(1.0 / self.width as f32), rows)
+            }
+            Projection::Pinhole { fx, fy, .. } => Vec2::new(fx.abs(), fy.abs()),
+        }
+    }
+
     /// Solid angle of a pixel, steradians.
     pub fn solid_angle(&self, pixel: usize) -> f32 {
         let (x, y) = ((pixel % self.width) as f32, (pixel / self.width) as f32);

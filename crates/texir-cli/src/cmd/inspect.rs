@@ -406,9 +406,11 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
         Mode::Full => training().map(|camera| settings.full.rays(camera)).sum(),
     };
     let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, &capture.mesh);
+    // All bakes but the last have a quarter of the points.
+    let bakes = 1.0 + 0.25 * (settings.bakes() - 1) as f64;
+    let rays = f64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32));
     Estimate {
-        bake_rays: (texels as f64 * atlas.covered) as u64
-            * settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32).into_iter().map(u64::from).sum::<u64>(),
+        bake_rays: (texels as f64 * atlas.covered * rays * bakes) as u64,
         fit_rays,
         memory: needed.min(settings.max_memory).0,
     }

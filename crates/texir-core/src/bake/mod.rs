@@ -10,6 +10,7 @@ mod solution;
 mod store;
 mod surface;
 mod texels;
+mod thinned;
 mod tiles;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -20,6 +21,7 @@ pub use self::memory::{keep_bounces_within, keep_within};
 pub use self::solution::{Solution, solve};
 pub use self::store::Workspace;
 pub use self::texels::Texels;
+pub use self::thinned::thinned;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::checkpoint::Checkpoints;

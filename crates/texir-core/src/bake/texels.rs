@@ -51,12 +51,17 @@ impl<'a> Texels<'a> {
 
     /// Those of an atlas.
     pub fn of(atlas: &'a Atlas) -> Self {
-        let size = [atlas.width, atlas.height];
-        let points = Store::Memory(atlas.points.as_slice().into());
-        let mut texels = Self { size, points, rows: vec![0; size[1] + 1], workspace: Workspace::Memory };
-        texels.count(atlas.texels.iter().copied());
+        Self::of_points([atlas.width, atlas.height], atlas.points.as_slice())
+    }
+
+    /// Of a map of `[width, height]` texels, these points, row by row; a point's sequence is its texel's index.
+    pub(super) fn of_points(size: [usize; 2], points: impl Into<Cow<'a, [SurfacePoint]>>) -> Self {
+        let points = points.into();
+        let none = Store::Memory(Cow::Borrowed(&[]));
+        let mut texels = Self { size, points: none, rows: vec![0; size[1] + 1], workspace: Workspace::Memory };
+        texels.count(points.iter().map(|point| point.sequence));
         texels.accumulate();
-        texels
+        Self { points: Store::Memory(points), ..texels }
     }
 
     /// Columns and rows of the map.

@@ -49,8 +49,8 @@ pub struct Ground<'a> {
     pub tbl: &'a Tbl,
     /// Its light sources, as sampled.
     pub lights: &'a Lights,
-    /// How irradiance is gathered in each round.
-    pub gathers: &'a [Gather],
+    /// How irradiance is gathered.
+    pub gather: Gather,
     /// Texels that are light sources.
     pub emitters: &'a Mask,
     /// Rooms, for views that bring none.
@@ -123,10 +123,11 @@ pub fn fit(
     let lights = Lights::find(&scene, &atlas, &tbl.radiance);
     backend.set_tbl(&tbl.radiance, &lights)?;
     let texel = atlas.typical_texel(&scene.mesh);
-    let gather = |rays: &u32| Gather::new(rays - rays / 2, rays / 2, settings.seed);
-    let gathers: Vec<Gather> = settings.irradiance_rays(texel).iter().map(gather).collect();
-    let irradiance =
-        bake::denoised(backend, &atlas, gathers[0], checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
+    let rays = settings.irradiance_rays(texel);
+    let gather = Gather::new(rays - rays / 2, rays / 2, settings.seed);
+    // Where it is gathered again it only has to tell what light surfaces send, and most of that is known from the views.
+    let bake = if settings.bakes() > 1 { bake::thinned } else { bake::denoised };
+    let irradiance = bake(backend, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
@@ -143,7 +144,7 @@ pub fn fit(
         adjacency: &adjacency,
         tbl: &tbl,
         lights: &lights,
-        gathers: &gathers,
+        gather,
         emitters: &emitters,
         plan: &plan,
         seed: settings.seed,

@@ -9,6 +9,7 @@ use crate::brdf::Masking;
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
+use crate::fit::full::blocks::Squares;
 use crate::rng::hash2;
 use crate::specular_table::TableSampling;
 
@@ -159,6 +160,7 @@ impl FullSettings {
             *samples = samples.div_ceil(3);
         }
         coarse.block_angle *= 2.0;
+        coarse.albedo.rounds = 1;
         coarse.roughness.every *= 2;
         coarse.roughness.joints.width = 0.0;
         coarse
@@ -559,7 +561,7 @@ fn roughness(name: &'static str, value: f32) -> Check {
 }
 
 impl FullSettings {
-    /// Pixels along the edge of a block that shares light samples.
+    /// Rows of pixels of a block that shares light samples.
     pub fn block_edge(&self, camera: &Camera) -> usize {
         (self.block_angle.to_radians() / camera.pixel_angle()).round().max(1.0) as usize
     }
@@ -573,7 +575,7 @@ impl FullSettings {
     /// Rays that the light samples of a view take in all rounds.
     pub fn rays(&self, camera: &Camera) -> u64 {
         let of_round = |round: Self| {
-            let blocks = camera.pixels() / round.block_edge(camera).pow(2);
+            let blocks = Squares::new(camera, round.block_edge(camera)).count();
             blocks as u64 * u64::from(round.sampling(0, 0).rays())
         };
         self.rounds().into_iter().map(of_round).sum()
@@ -642,17 +644,19 @@ impl FullSettings {
 }
 
 impl FitSettings {
-    /// Rays per texel of the irradiance bake of each round, for texels of the given edge in metres. Irradiance varies over
-    /// surfaces, not over texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128
-    /// or 64 for finer ones. The first of several rounds takes a quarter: what light surfaces send is known from the views.
-    pub fn irradiance_rays(&self, texel: f32) -> Vec<u32> {
-        let rays = match self.irradiance_samples {
+    /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces, not over
+    /// texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128 or 64 for finer ones.
+    pub fn irradiance_rays(&self, texel: f32) -> u32 {
+        match self.irradiance_samples {
             0 => 256 >> (2.0 * (0.025 / texel).log2()).round().clamp(0.0, 2.0) as u32,
             samples => samples,
-        };
-        let rounds = if self.mode == Mode::Full { self.full.rounds().len() } else { 1 };
-        let of_round = |round: usize| if round == 0 && rounds > 1 { (rays / 4).max(LEAST_RAYS) } else { rays };
-        (0..rounds).map(of_round).collect()
+        }
+    }
+
+    /// How often irradiance is baked: once for each round of full mode, but for the last at a quarter of the texels
+    /// ([`thinned`](crate::bake::thinned)).
+    pub fn bakes(&self) -> usize {
+        if self.mode == Mode::Full { self.full.rounds().len() } else { 1 }
     }
 
     /// Checks every value; the error names the setting, its value and what is allowed.
@@ -740,35 +744,41 @@ mod tests {
     }
 
     #[test]
-    fn rounds_before_the_last_are_coarse_and_the_first_irradiance_takes_few_rays() {
-        let rays = |mode: Mode, alternations: u32, irradiance_samples: u32| {
-            let full = FullSettings { alternations, ..FullSettings::default() };
-            FitSettings { mode, irradiance_samples, full, ..FitSettings::default() }.irradiance_rays(0.03)
+    fn irradiance_takes_fewer_rays_for_finer_texels() {
+        let rays = |irradiance_samples: u32, texel: f32| {
+            FitSettings { irradiance_samples, ..FitSettings::default() }.irradiance_rays(texel)
         };
-        assert_eq!(rays(Mode::Full, 1, 0), [64, 256]);
-        assert_eq!(rays(Mode::Full, 2, 0), [64, 256, 256]);
-        assert_eq!(rays(Mode::Full, 1, 4), [4, 4]);
-        assert_eq!(rays(Mode::Full, 0, 0), [256]);
-        assert_eq!(rays(Mode::Paper, 1, 0), [256]);
+        assert_eq!([0.1, 0.025, 0.018, 0.0125, 0.001].map(|texel| rays(0, texel)), [256, 256, 128, 64, 64]);
+        assert_eq!([0.1, 0.001].map(|texel| rays(4, texel)), [4, 4]);
+    }
+
+    #[test]
+    fn rounds_before_the_last_are_coarse() {
+        let bakes = |mode: Mode, alternations: u32| {
+            let full = FullSettings { alternations, ..FullSettings::default() };
+            FitSettings { mode, full, ..FitSettings::default() }.bakes()
+        };
+        assert_eq!([0, 1, 2].map(|alternations| bakes(Mode::Full, alternations)), [1, 2, 3]);
+        assert_eq!(bakes(Mode::Paper, 1), 1);
 
         let settings = FullSettings::default();
         let rounds = settings.rounds();
         assert!(rounds.len() == 2 && rounds[1] == settings);
-        // Of panoramas whose pixels are 1.4°, 0.7° and 0.35° wide.
-        let per_pixel = |width: usize| {
-            let camera = Camera {
-                projection: Projection::Equirectangular,
-                width,
-                height: width / 2,
-                world_from_camera: glam::Mat4::IDENTITY,
-            };
+        // By pixels that are 1.4°, 0.7° and 0.35° wide: the last round's rays, 176 per block of 0.7° at least, and the first's, 60 per
+        // block of twice that.
+        let per_pixel = |projection: Projection, width: usize| {
+            let camera = Camera { projection, width, height: width / 2, world_from_camera: glam::Mat4::IDENTITY };
             assert!(rounds[0].block_edge(&camera) >= rounds[1].block_edge(&camera));
             settings.rays(&camera) as f32 / camera.pixels() as f32
         };
-        // The last round's, 176 per block of 0.7° at least, and the first's, 60 per block of twice that.
-        assert_eq!(per_pixel(256), 176.0 + 60.0);
-        assert_eq!(per_pixel(512), 176.0 + 60.0 / 4.0);
-        assert_eq!(per_pixel(1024), 176.0 / 4.0 + 60.0 / 16.0);
+        for (width, expected) in [(256, 176.0 + 60.0), (512, 176.0 + 60.0 / 4.0), (1024, 176.0 / 4.0 + 60.0 / 16.0)] {
+            let focal = width as f32 / std::f32::consts::TAU;
+            let photo = Projection::Pinhole { fx: focal, fy: focal, cx: 0.0, cy: 0.0 };
+            assert_eq!(per_pixel(photo, width), expected);
+            // Two thirds of a panorama would do to look everywhere; blocks are of whole pixels.
+            let share = per_pixel(Projection::Equirectangular, width) / expected;
+            assert!((0.63..0.8).contains(&share), "{share} of {width} columns");
+        }
     }
 
     /// The places of all numbers of a table, as paths of keys and indices.

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::photo;
 use super::photo::Photo;
-use super::shown::{pixels_per_radian, pixels_per_steradian};
+use super::shown::pixels_per_steradian;
 use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::capture::View;
@@ -169,7 +169,7 @@ impl<'a> Points<'a> {
         predicted.iter_mut().for_each(|radiance| *radiance *= factor);
         let compare = |(pixel, ratio): (usize, f32)| -> Option<Comparison> {
             let (x, y) = ((pixel % image.width) as i64, (pixel / image.width) as i64);
-            let per_radian = pixels_per_radian(self.camera, y as f32 + 0.5);
+            let per_radian = self.camera.pixels_per_radian(y as f32 + 0.5);
             let around = [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| self.camera.pixel(x + dx, y + dy));
             let curvature = |values: &[f32]| -> Option<f32> {
                 let around: f32 =

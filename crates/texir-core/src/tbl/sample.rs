@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::TblOptions;
 use super::photo::Photo;
-use super::shown::{Shown, pixels_per_radian, pixels_per_steradian};
+use super::shown::{Shown, pixels_per_steradian};
 use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
@@ -58,7 +58,7 @@ impl<'a> Sampler<'a> {
         if !(at.distance > 0.0 && at.cosine >= self.options.min_cosine) {
             return None;
         }
-        let per_radian = pixels_per_radian(self.camera, at.pixel[1]);
+        let per_radian = self.camera.pixels_per_radian(at.pixel[1]);
         // Along the surface's tilt the footprint is narrower by the cosine; √cos is its mean.
         let footprint = (area * at.cosine).sqrt() / at.distance;
         let reach = (per_radian * footprint).clamp(Vec2::ONE, Vec2::splat(MAX_REACH));

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 use crate::backend::Backend;
-use crate::camera::{Camera, Projection};
+use crate::camera::Camera;
 use crate::error::Result;
 use crate::scene::Scene;
 use crate::surface::{Hit, SurfacePoint};
@@ -38,22 +38,9 @@ impl<'a> Shown<'a> {
     }
 }
 
-/// Pixels per radian along the image's axes, near row `y`: the columns of a panorama crowd towards its poles (1/sin φ).
-pub(super) fn pixels_per_radian(camera: &Camera, y: f32) -> Vec2 {
-    match camera.projection {
-        Projection::Equirectangular => {
-            let sin = (std::f32::consts::PI * y / camera.height as f32).sin();
-            let (columns, rows) =
-                (camera.width as f32 / std::f32::consts::TAU, camera.height as f32 / std::f32::consts::PI);
-            Vec2::new(columns / sin.max(1.0 / camera.width as f32), rows)
-        }
-        Projection::Pinhole { fx, fy, .. } => Vec2::new(fx.abs(), fy.abs()),
-    }
-}
-
 /// Resolution of a view: pixels per steradian at a panorama's horizon, or on a pinhole's axis. (The crowded columns near
 /// a panorama's poles carry no more detail than its rows, so that sin φ does not enter.)
 pub(crate) fn pixels_per_steradian(camera: &Camera) -> f32 {
-    let middle = pixels_per_radian(camera, camera.height as f32 / 2.0);
+    let middle = camera.pixels_per_radian(camera.height as f32 / 2.0);
     middle.x * middle.y
 }

@@ -10,22 +10,21 @@
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
-use glam::{DVec3, Vec3A, Vec4};
+use glam::{DVec3, DVec4, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use super::observations::Observations;
 use super::palette::Palettes;
 use super::share::{Share, of_strata};
+use super::sums;
 use crate::brdf::DIELECTRIC_F0;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
 use crate::specular_table::{PackedCurve, STRATA, node};
 
-/// Items per task of a parallel loop,
+/// Items per task of a parallel loop.
 const BLOCK: usize = 4096;
-/// and of several, whose results are in memory at once.
-const WIDE_BLOCK: usize = 64 * BLOCK;
 
 /// The roughness that albedo is sought for.
 pub enum Roughness<'a> {
@@ -108,20 +107,15 @@ impl<'a> AlbedoProblem<'a> {
         (0..sums.len()).zip(self.segment.0).map(|(t, s)| mean(t).unwrap_or(means[*s as usize])).collect()
     }
 
-    fn segment_means(&self, value: impl Fn(usize) -> Option<Vec3A>) -> Vec<Vec3A> {
-        // In f64: a sum of millions of texels in f32 stops where a texel is less than its last digit.
-        let mut sums = vec![(DVec3::ZERO, 0.0f64); self.segment.1];
-        for (t, segment) in self.segment.0.iter().enumerate() {
-            if let Some(value) = value(t) {
-                let (sum, weight) = &mut sums[*segment as usize];
-                *sum += value.as_dvec3();
-                *weight += 1.0;
-            }
-        }
-        let all = sums.iter().fold((DVec3::ZERO, 0.0), |(s, w), (sum, weight)| (s + *sum, w + weight));
-        let mean =
-            |(sum, weight): (DVec3, f64)| if weight > 0.0 { (sum / weight).as_vec3a() } else { Vec3A::splat(0.5) };
-        sums.into_iter().map(|s| if s.1 > 0.0 { mean(s) } else { mean(all) }).collect()
+    fn segment_means(&self, value: impl Fn(usize) -> Option<Vec3A> + Sync) -> Vec<Vec3A> {
+        // The number of texels comes last.
+        let of_texel = |t: usize| value(t).map(|value| value.extend(1.0).as_dvec4().to_array());
+        let sums = sums::by_group(self.segment.0, self.segment.1, of_texel).into_iter().map(DVec4::from_array);
+        let sums: Vec<DVec4> = sums.collect();
+        let all: DVec4 = sums.iter().sum();
+        let mean = |sum: &DVec4| (sum.w > 0.0).then(|| (sum.truncate() / sum.w).as_vec3a());
+        let otherwise = mean(&all).unwrap_or(Vec3A::splat(0.5));
+        sums.iter().map(|sum| mean(sum).unwrap_or(otherwise)).collect()
     }
 
     /// What each pixel says at the roughness that its surface has. One that sees metal and something else says nothing.
@@ -196,16 +190,21 @@ impl<'a> AlbedoProblem<'a> {
         target.scale(pixel) * self.per_irradiance[pixel]
     }
 
-    /// A pixel's left-hand side.
-    fn explained(&self, albedo: &[Vec3A], target: &Target, pixel: usize) -> Vec3A {
+    /// What a pixel shows of an albedo: Σ_t w_t s_t a_t.
+    fn shows(&self, albedo: &[Vec3A], pixel: usize) -> Vec3A {
         let of_share =
             |share: &Share| albedo[share.texel as usize] * self.strength(share.texel as usize) * share.weight();
-        self.seen.rows.row(pixel).iter().map(of_share).sum::<Vec3A>() * self.gain(target, pixel)
+        self.seen.rows.row(pixel).iter().map(of_share).sum()
     }
 
-    /// Left-hand side − target: the residual of a pixel, in albedo.
-    pub fn residual(&self, albedo: &[Vec3A], target: &Target, pixel: usize) -> Vec3A {
-        self.explained(albedo, target, pixel) - target.albedo[pixel]
+    /// What all pixels show of an albedo, whatever roughness it is sought for: [`AlbedoProblem::solve`] goes on from that.
+    pub fn shown(&self, albedo: &[Vec3A]) -> Vec<Vec3A> {
+        (0..self.seen.len()).into_par_iter().with_min_len(BLOCK).map(|p| self.shows(albedo, p)).collect()
+    }
+
+    /// Left-hand side − target: the residual of a pixel that shows this, in albedo.
+    pub fn residual(&self, shown: &[Vec3A], target: &Target, pixel: usize) -> Vec3A {
+        shown[pixel] * self.gain(target, pixel) - target.albedo[pixel]
     }
 
     /// The colours of the segments, from the texels that are seen.
@@ -240,21 +239,31 @@ impl<'a> AlbedoProblem<'a> {
         let of_texels = Roughness::Texels(roughness.as_ref());
         let (target, sigma) = (self.target(&of_texels), self.noise_at(&of_texels));
         drop(roughness);
-        self.solve(albedo, &target, &sigma, rounds, self.settings.iterations);
+        let mut shown = self.shown(albedo);
+        self.solve((albedo, &mut shown), &target, &sigma, rounds, self.settings.iterations);
     }
 
-    /// Improves `albedo` for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
-    pub fn solve(&self, albedo: &mut [Vec3A], target: &Target, sigma: &[f32], rounds: u32, iterations: u32) {
+    /// Improves `albedo`, and what is `shown` of it, for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
+    pub fn solve(
+        &self,
+        (albedo, shown): (&mut [Vec3A], &mut [Vec3A]),
+        target: &Target,
+        sigma: &[f32],
+        rounds: u32,
+        iterations: u32,
+    ) {
         for _ in 0..rounds {
             let base = self.settings.noise;
             let weight = |(p, s): (usize, &f32)| {
-                let e = self.residual(albedo, target, p);
+                let e = self.residual(shown, target, p);
                 (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2))
             };
             let weight = sigma.par_iter().enumerate().with_min_len(BLOCK).map(weight).collect();
             let system = System { problem: self, target, weight, edges: self.edge_weights(albedo) };
-            conjugate_gradients(&system, albedo, iterations);
+            conjugate_gradients(&system, (albedo, shown), iterations);
             albedo.par_iter_mut().for_each(|a| *a = a.clamp(Vec3A::ZERO, Vec3A::ONE));
+            let shows = |(p, shown): (usize, &mut Vec3A)| *shown = self.shows(albedo, p);
+            shown.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(shows);
         }
     }
 
@@ -284,16 +293,9 @@ impl<'a> AlbedoProblem<'a> {
             let beside = self.adjacency.beside[t];
             let steps = self.steps(albedo, t).into_iter().zip([beside[1], beside[3]]);
             let counting = steps.filter(|(_, n)| counts(t as u32) && counts(*n)).filter_map(|(step, _)| step);
-            counting.fold([0.0; 2], |[sum, pairs], step| [sum + step.ln_1p(), pairs + 1.0])
+            Some(counting.fold([0.0; 2], |[sum, pairs], step| [sum + f64::from(step.ln_1p()), pairs + 1.0]))
         };
-        let mut sums = vec![[0.0; 2]; self.segment.1];
-        for (block, segments) in self.segment.0.chunks(WIDE_BLOCK).enumerate() {
-            let first = block * WIDE_BLOCK;
-            let texels: Vec<[f32; 2]> = (first..first + segments.len()).into_par_iter().map(of_texel).collect();
-            for (s, texel) in segments.iter().zip(texels) {
-                sums[*s as usize].iter_mut().zip(texel).for_each(|(sum, of_texel)| *sum += f64::from(of_texel));
-            }
-        }
+        let sums = sums::by_group(self.segment.0, self.segment.1, of_texel);
         sums.into_iter().map(|[sum, pairs]| if pairs > 0.0 { sum / pairs } else { 0.0 }).collect()
     }
 }
@@ -324,25 +326,29 @@ impl Left {
 }
 
 impl System<'_> {
-    /// A x.
-    fn apply(&self, x: &[Vec3A]) -> Vec<Vec3A> {
+    /// A x, and x A x.
+    fn apply(&self, x: &[Vec3A]) -> (Vec<Vec3A>, [f64; 3]) {
         let p = self.problem;
-        let weighted = |i: usize| p.explained(x, self.target, i) * p.gain(self.target, i) * self.weight[i];
+        let weighted = |i: usize| {
+            let gain = p.gain(self.target, i);
+            p.shows(x, i) * gain * gain * self.weight[i]
+        };
         let mut out =
             p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, share, v| *sum += *v * share.weight());
-        out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
+        let product = sum(&mut out, |t, out| {
             *out = *out * p.strength(t) + p.settings.segment_prior * x[t] + self.apart(x, t);
+            *out * x[t]
         });
-        out
+        (out, product)
     }
 
-    /// What is left at `x`, and the diagonal's inverse: both by going through the pixels once.
-    fn left(&self, x: &[Vec3A]) -> Vec<Left> {
+    /// What is left at `x`, of which this is `shown`, and the diagonal's inverse: both by going through the pixels once.
+    fn left(&self, x: &[Vec3A], shown: &[Vec3A]) -> Vec<Left> {
         let p = self.problem;
         let means = p.segment_means(|t| p.seen.is_seen[t].then(|| x[t]));
         let of_pixel = |i: usize| {
             let (gain, weight) = (p.gain(self.target, i), self.weight[i]);
-            (p.residual(x, self.target, i) * gain * -weight, gain * gain * weight)
+            (p.residual(shown, self.target, i) * gain * -weight, gain * gain * weight)
         };
         // The diagonal is summed where its inverse will be.
         let zero = Left { residual: Vec3A::ZERO, inverse: Vec3A::ZERO };
@@ -377,32 +383,35 @@ impl System<'_> {
     }
 }
 
-/// Jacobi-preconditioned conjugate gradients, the three channels side by side, from `x` on.
-fn conjugate_gradients(system: &System<'_>, x: &mut [Vec3A], iterations: u32) {
-    let mut left = system.left(x);
+/// Jacobi-preconditioned conjugate gradients, the three channels side by side, from `x` on, of which this is `shown`. What a step does to all texels takes
+/// longer than what it does to the pixels, so that texels are gone through three times a step, not more.
+fn conjugate_gradients(system: &System<'_>, (x, shown): (&mut [Vec3A], &[Vec3A]), iterations: u32) {
+    let mut left = system.left(x, shown);
     let mut direction: Vec<Vec3A> = left.par_iter().map(Left::preconditioned).collect();
-    let energy = |left: &[Left]| sum(left, |_, of| of.residual * of.preconditioned());
-    let mut rho = energy(&left);
+    let energy = |left: &Left| left.residual * left.preconditioned();
+    let mut rho = sum(&mut left, |_, left| energy(left));
     for _ in 0..iterations {
-        let image = system.apply(&direction);
-        let step = ratio(rho, sum(&direction, |i, d| *d * image[i]));
-        (&mut *x, &direction).into_par_iter().for_each(|(x, d)| *x += step * *d);
-        (&mut left, &image).into_par_iter().for_each(|(of, a)| of.residual -= step * *a);
-        let next = energy(&left);
+        let (image, product) = system.apply(&direction);
+        let step = ratio(rho, product);
+        let next = sum((&mut left, &mut *x), |t, (left, x)| {
+            *x += step * direction[t];
+            left.residual -= step * image[t];
+            energy(left)
+        });
         let turn = ratio(next, rho);
         rho = next;
         (&mut direction, &left).into_par_iter().for_each(|(d, of)| *d = of.preconditioned() + turn * *d);
     }
 }
 
-/// The sum over the items, per channel, block by block in a fixed order.
-fn sum<T: Sync>(items: &[T], of: impl Fn(usize, &T) -> Vec3A + Sync) -> [f64; 3] {
-    let of_block = |(block, items): (usize, &[T])| {
-        let terms = items.iter().enumerate().map(|(i, item)| of(block * BLOCK + i, item));
-        terms.sum::<Vec3A>().to_array().map(f64::from)
-    };
-    let partial: Vec<[f64; 3]> = items.par_chunks(BLOCK).enumerate().map(of_block).collect();
-    partial.iter().fold([0.0; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c]))
+/// The sum over the items, per channel, block by block in a fixed order; `of` may change them on the way.
+fn sum<I: IntoParallelIterator>(items: I, of: impl Fn(usize, I::Item) -> Vec3A + Sync) -> [f64; 3]
+where
+    I::Iter: IndexedParallelIterator,
+{
+    let terms = items.into_par_iter().enumerate().map(|(i, item)| of(i, item));
+    let blocks: Vec<Vec3A> = terms.fold_chunks(BLOCK, || Vec3A::ZERO, |sum, term| sum + term).collect();
+    blocks.into_iter().map(Vec3A::as_dvec3).sum::<DVec3>().to_array()
 }
 
 /// a / b per channel; 0 where b is: nothing is left to do there.

@@ -1,9 +1,10 @@
 //! Which pixels share their light samples. A lobe blurs what it reflects, so that over a flat surface the specular radiance
 //! changes slowly from one pixel to the next: cost follows the angle that a capture covers, not the size of its images.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 use crate::backend::ShadePoint;
+use crate::camera::Camera;
 use crate::specular_table::STRATA;
 
 /// Normals of pixels that share samples differ by less than the angle of this cosine.
@@ -49,6 +50,83 @@ impl Patch {
     }
 }
 
+/// The squares that an image is cut into, row by row. Near the poles of a panorama, whose columns crowd there, they have more pixels
+/// in a row, so that they are as wide as high everywhere.
+pub struct Squares {
+    /// Pixels in a row of the image.
+    width: usize,
+    /// Rows of pixels in a square.
+    edge: usize,
+    /// By row of squares: pixels across one,
+    across: Vec<usize>,
+    /// and the number of the first; at last that of all.
+    first: Vec<usize>,
+}
+
+impl Squares {
+    /// Those with `edge` rows of pixels.
+    pub fn new(camera: &Camera, edge: usize) -> Self {
+        // Beyond what rounding makes of one pixel in a row for one in a column.
+        const ROUNDING: f32 = 1e-3;
+        let across = |row: usize| {
+            let middle = ((row * edge) as f32 + 0.5 * edge as f32).min(camera.height as f32 - 0.5);
+            let Vec2 { x, y } = camera.pixels_per_radian(middle);
+            ((edge as f32 * x / y + ROUNDING) as usize).clamp(1, camera.width)
+        };
+        let across: Vec<usize> = (0..camera.height.div_ceil(edge)).map(across).collect();
+        let first = |squares: &mut usize, across: &usize| {
+            let first = *squares;
+            *squares += camera.width.div_ceil(*across);
+            Some(first)
+        };
+        let all = across.iter().map(|across| camera.width.div_ceil(*across)).sum();
+        let first = across.iter().scan(0, first).chain([all]).collect();
+        Self { width: camera.width, edge, across, first }
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.first[self.across.len()]
+    }
+
+    /// Row and column of a pixel's.
+    fn of(&self, pixel: usize) -> [usize; 2] {
+        let row = pixel / self.width / self.edge;
+        [row, pixel % self.width / self.across[row]]
+    }
+
+    /// Squares in a row of them.
+    fn columns(&self, row: usize) -> usize {
+        self.first[row + 1] - self.first[row]
+    }
+
+    /// The numbers of those at most `reach` rows and columns away from one, that one among them. The image's sides join, as a
+    /// panorama's do; what that brings together in another image lies in other directions.
+    fn around(&self, [row, column]: [usize; 2], reach: usize) -> impl Iterator<Item = usize> {
+        let middle = 2 * column + 1;
+        (row.saturating_sub(reach)..(row + reach + 1).min(self.across.len())).flat_map(move |other| {
+            let columns = self.columns(other);
+            // Above and below, the column of the same direction.
+            let column = middle * columns / (2 * self.columns(row));
+            let reach = reach.min((columns - 1) / 2);
+            (0..=2 * reach).map(move |step| self.first[other] + (column + columns + step - reach) % columns)
+        })
+    }
+
+    /// How far a pixel is off the middle of the `k`th quadrant of its square, squared, in shares of the square's sides; compares within
+    /// one square.
+    fn off_quadrant(&self, pixel: usize, k: usize) -> f32 {
+        let [row, column] = self.of(pixel);
+        let off = |at: usize, start: usize, side: usize, half: usize| {
+            ((at - start) as f32 + 0.5) / side as f32 - (0.25 + 0.5 * half as f32)
+        };
+        let across = self.across[row];
+        let down = off(pixel / self.width, row * self.edge, self.edge, k / AXIS);
+        let right = off(pixel % self.width, column * across, across, k % AXIS);
+        down * down + right * right
+    }
+}
+
 /// Pixels by what they share.
 pub struct Blocks {
     /// The block of each pixel.
@@ -58,49 +136,30 @@ pub struct Blocks {
     pub corners: Vec<[usize; STRATA]>,
     /// What the first pixel of each block sees.
     pub patches: Vec<Patch>,
-    /// Per block, row and column of its square.
-    squares: Vec<[usize; 2]>,
-    /// Squares in a row.
-    columns: usize,
+    /// Row and column of each block's square.
+    places: Vec<[usize; 2]>,
+    squares: Squares,
     /// The first block of each square, row by row; its others follow.
     first: Vec<u32>,
 }
 
 impl Blocks {
-    /// The blocks whose squares are at most `reach` rows and columns away, its own among them. The image's sides join, as a
-    /// panorama's do; what that brings together in another image lies in other directions.
+    /// The blocks whose squares are at most `reach` rows and columns away, its own among them.
     pub fn around(&self, block: usize, reach: usize) -> impl Iterator<Item = usize> {
-        let [row, column] = self.squares[block];
-        let rows = self.first.len() / self.columns;
-        let reach_across = reach.min((self.columns - 1) / 2);
-        (row.saturating_sub(reach)..(row + reach + 1).min(rows)).flat_map(move |row| {
-            (0..=2 * reach_across).flat_map(move |step| {
-                let column = (column + self.columns + step - reach_across) % self.columns;
-                let square = row * self.columns + column;
-                let end = self.first.get(square + 1).map_or(self.corners.len(), |first| *first as usize);
-                self.first[square] as usize..end
-            })
+        self.squares.around(self.places[block], reach).flat_map(|square| {
+            let end = self.first.get(square + 1).map_or(self.corners.len(), |first| *first as usize);
+            self.first[square] as usize..end
         })
     }
 }
 
-/// Gathers those of the `pixels` (indices into an image `width` wide, ascending) that lie in one square of `edge` pixels
-/// and see a like patch.
-pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> Blocks {
-    let square = |pixel: usize| [pixel / width / edge, pixel % width / edge];
+/// Gathers those of the `pixels` (indices into an image, ascending) that lie in one of its `squares` and see a like patch.
+pub fn share(pixels: &[usize], patches: &[Patch], squares: Squares) -> Blocks {
     let mut order: Vec<usize> = (0..pixels.len()).collect();
-    order.sort_by_key(|&i| square(pixels[i]));
-    let columns = width.div_ceil(edge);
-    let rows = pixels.last().map_or(0, |pixel| pixel / width / edge + 1);
-    let mut blocks = Blocks {
-        of: vec![0; pixels.len()],
-        corners: Vec::new(),
-        patches: Vec::new(),
-        squares: Vec::new(),
-        columns,
-        first: vec![0; columns * rows],
-    };
-    for members in order.chunk_by(|&a, &b| square(pixels[a]) == square(pixels[b])) {
+    order.sort_by_key(|&i| squares.of(pixels[i]));
+    let (mut of, mut places) = (vec![0; pixels.len()], Vec::new());
+    let (mut corners, mut first_patches) = (Vec::new(), Vec::new());
+    for members in order.chunk_by(|&a, &b| squares.of(pixels[a]) == squares.of(pixels[b])) {
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for &i in members {
             match groups.iter_mut().find(|group| patches[group[0]].like(&patches[i])) {
@@ -109,34 +168,28 @@ pub fn share(pixels: &[usize], patches: &[Patch], width: usize, edge: usize) -> 
             }
         }
         for group in groups {
-            group.iter().for_each(|&i| blocks.of[i] = blocks.corners.len() as u32);
-            blocks.patches.push(patches[group[0]]);
-            blocks.squares.push(square(pixels[group[0]]));
-            let [row, column] = square(pixels[group[0]]).map(|s| s * edge);
-            blocks.corners.push(std::array::from_fn(|k| {
-                // Twice the distance to the middle of the quadrant, in halves of pixels: whole numbers.
-                let off = |at: usize, start: usize, half: usize| {
-                    (4 * (at - start) + 2).abs_diff((2 * half + 1) * edge).pow(2)
-                };
-                let from_middle =
-                    |&pixel: &usize| off(pixel / width, row, k / AXIS) + off(pixel % width, column, k % AXIS);
-                group.iter().map(|&i| pixels[i]).min_by_key(from_middle).unwrap_or_default()
+            group.iter().for_each(|&i| of[i] = corners.len() as u32);
+            first_patches.push(patches[group[0]]);
+            places.push(squares.of(pixels[group[0]]));
+            corners.push(std::array::from_fn(|k| {
+                let off = |a: &usize, b: &usize| squares.off_quadrant(*a, k).total_cmp(&squares.off_quadrant(*b, k));
+                group.iter().map(|&i| pixels[i]).min_by(off).unwrap_or_default()
             }));
         }
     }
     // Blocks are in the order of their squares.
-    for (square, first) in blocks.first.iter_mut().enumerate() {
-        let place = [square / columns, square % columns];
-        *first = blocks.squares.partition_point(|at| *at < place) as u32;
-    }
-    blocks
+    let number = |[row, column]: &[usize; 2]| squares.first[*row] + column;
+    let first = (0..squares.count()).map(|square| places.partition_point(|place| number(place) < square) as u32);
+    Blocks { first: first.collect(), of, corners, patches: first_patches, places, squares }
 }
 
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
+    use glam::Mat4;
 
     use super::*;
+    use crate::camera::Projection;
 
     const WIDTH: usize = 8;
 
@@ -145,10 +198,60 @@ mod tests {
         Patch { position, normal: Vec3::Z, class: 1, mixed: false }
     }
 
+    fn camera(projection: Projection, [width, height]: [usize; 2]) -> Camera {
+        Camera { projection, width, height, world_from_camera: Mat4::IDENTITY }
+    }
+
+    fn squares(edge: usize) -> Squares {
+        let photo = Projection::Pinhole { fx: 8.1, fy: 8.1, cx: 4.0, cy: 4.0 };
+        Squares::new(&camera(photo, [WIDTH; 2]), edge)
+    }
+
     fn shared(patch: impl Fn(usize) -> Patch, edge: usize) -> Blocks {
         let pixels: Vec<usize> = (0..WIDTH * WIDTH).collect();
         let patches: Vec<Patch> = pixels.iter().map(|&p| patch(p)).collect();
-        share(&pixels, &patches, WIDTH, edge)
+        share(&pixels, &patches, squares(edge))
+    }
+
+    #[test]
+    fn squares_of_a_panorama_are_as_wide_as_high_up_to_its_poles() {
+        for edge in [1, 2, 5] {
+            let panorama = camera(Projection::Equirectangular, [512, 256]);
+            let squares = Squares::new(&panorama, edge);
+            let rows = 256usize.div_ceil(edge);
+            for row in 0..rows {
+                let sin = (std::f32::consts::PI * ((row as f32 + 0.5) * edge as f32).min(255.5) / 256.0).sin();
+                let width = squares.across[row] as f32 * sin / edge as f32;
+                // A pixel more would be too wide, or there is none.
+                let widest = width + 1.01 * sin / edge as f32 > 1.0 || squares.columns(row) == 1;
+                assert!(width < 1.01 && widest, "row {row} of {rows}: {width}");
+            }
+            assert_eq!(squares.across[rows / 2], edge);
+            let share = squares.count() as f32 * (edge * edge) as f32 / panorama.pixels() as f32;
+            assert!((0.63..0.8).contains(&share), "edge {edge}: {share}");
+        }
+        // Negative control: a photo's are of as many pixels everywhere.
+        assert!(squares(2).across.iter().all(|across| *across == 2) && squares(2).count() == 16);
+    }
+
+    #[test]
+    fn squares_around_one_at_a_pole_lie_in_the_same_direction() {
+        let squares = Squares::new(&camera(Projection::Equirectangular, [512, 256]), 1);
+        let angle = |number: usize| {
+            let row = squares.first.partition_point(|first| *first <= number) - 1;
+            ((number - squares.first[row]) as f32 + 0.5) / squares.columns(row) as f32
+        };
+        for at in [[2, 3], [40, 100], [128, 511], [250, 0]] {
+            let own = squares.first[at[0]] + at[1];
+            let nearer_to_pole = if at[0] < 128 { at[0] - 1 } else { at[0] + 1 };
+            let around: Vec<usize> = squares.around(at, 1).collect();
+            assert!(around.len() == 9 && around.contains(&own));
+            for other in around {
+                let apart = (angle(other) - angle(own)).abs();
+                let widest = 1.0 / squares.columns(nearer_to_pole) as f32;
+                assert!(apart.min(1.0 - apart) < 1.6 * widest, "{at:?}: {apart}");
+            }
+        }
     }
 
     #[test]
@@ -214,13 +317,13 @@ mod tests {
         let mixed = |p: usize| Patch { class: (p % 2) as u16, ..wall(p) };
         let blocks = shared(mixed, 2);
         let side = WIDTH / 2;
-        for (block, at) in blocks.squares.iter().enumerate() {
+        for (block, at) in blocks.places.iter().enumerate() {
             let mut around: Vec<usize> = blocks.around(block, 1).collect();
             around.sort_unstable();
             let near = |a: usize, b: usize| a.abs_diff(b) <= 1;
             let wraps = |a: usize, b: usize| near(a, b) || a.abs_diff(b) == side - 1;
             let expected = (0..blocks.corners.len())
-                .filter(|&other| near(at[0], blocks.squares[other][0]) && wraps(at[1], blocks.squares[other][1]));
+                .filter(|&other| near(at[0], blocks.places[other][0]) && wraps(at[1], blocks.places[other][1]));
             assert_eq!(around, expected.collect::<Vec<_>>());
         }
         assert_eq!(
@@ -232,7 +335,7 @@ mod tests {
     #[test]
     fn blocks_of_one_pixel_are_the_pixels() {
         let pixels = [3, 5, 17];
-        let blocks = share(&pixels, &pixels.map(wall), WIDTH, 1);
+        let blocks = share(&pixels, &pixels.map(wall), squares(1));
         assert_eq!(blocks.of, [0, 1, 2]);
         assert_eq!(blocks.corners, pixels.map(|p| [p; STRATA]));
     }

@@ -68,10 +68,15 @@ struct Said {
 
 /// Lines that may be joints.
 pub struct Lines {
-    /// Group of each texel: 2 s for the darker lines of segment s, 2 s + 1 for the brighter ones; `None` beside them.
-    group: Vec<Option<usize>>,
-    /// Whether the lines of each group are at equal distances, as few patterns but joints are.
+    /// What each texel is of; `None` beside them.
+    line: Vec<Option<Line>>,
+    /// Whether the lines of each group ([`group`]) are at equal distances, as few patterns but joints are.
     regular: Vec<bool>,
+}
+
+/// Number of the darker or of the brighter lines of a segment.
+fn group(segment: u32, line: Line) -> usize {
+    2 * segment as usize + line as usize
 }
 
 impl Lines {
@@ -85,7 +90,7 @@ impl Lines {
     ) -> Result<Self> {
         let (segment, segments) = problem.segment;
         if settings.width == 0.0 {
-            return Ok(Self { group: vec![None; segment.len()], regular: vec![false; 2 * segments] });
+            return Ok(Self { line: vec![None; segment.len()], regular: vec![false; 2 * segments] });
         }
         let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
         let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
@@ -96,27 +101,24 @@ impl Lines {
             std::iter::once(regular).chain(straight).chain([paint.narrow(settings)]).collect();
         let enough: Vec<Vec<bool>> =
             kinds.iter().map(|lines| enough(lines, problem.segment, settings.least_share)).collect();
-        let group = |t: usize| -> Option<usize> {
-            let s = segment[t] as usize;
-            let of_side = |side: Line| {
-                let g = 2 * s + side as usize;
-                let kind = enough.iter().position(|enough| enough[g])?;
-                (kinds[kind][t] == Some(side)).then_some(g)
-            };
-            of_side(Line::Darker).or_else(|| of_side(Line::Brighter))
+        let line = |t: usize| -> Option<Line> {
+            let kind = |line: Line| enough.iter().position(|enough| enough[group(segment[t], line)]);
+            let is = |line: &Line| kind(*line).is_some_and(|kind| kinds[kind][t] == Some(*line));
+            [Line::Darker, Line::Brighter].into_iter().find(is)
         };
-        let group = (0..segment.len()).into_par_iter().map(group).collect();
-        Ok(Self { group, regular: enough[0].clone() })
+        let line = (0..segment.len()).into_par_iter().map(line).collect();
+        Ok(Self { line, regular: enough[0].clone() })
     }
 
     /// The group that a pixel of `segment` sees most of, and its share.
     fn seen(&self, rows: &Rows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
         let mut shares = [0.0; 2];
         for share in rows.row(pixel) {
-            self.group[share.texel as usize].into_iter().for_each(|g| shares[g % 2] += share.weight());
+            self.line[share.texel as usize].into_iter().for_each(|line| shares[line as usize] += share.weight());
         }
-        let (side, share) = if shares[0] >= shares[1] { (0, shares[0]) } else { (1, shares[1]) };
-        (segment != NONE && share > 0.0).then_some((2 * segment as usize + side, share))
+        let (line, share) =
+            if shares[0] >= shares[1] { (Line::Darker, shares[0]) } else { (Line::Brighter, shares[1]) };
+        (segment != NONE && share > 0.0).then(|| (group(segment, line), share))
     }
 
     /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's. Where that
@@ -138,22 +140,42 @@ impl Lines {
     }
 }
 
-/// The joints that texels lie on; `None` elsewhere, and on those that are like their surface. `roughness` is that of
-/// the texels without joints.
-pub fn find(
-    problem: &AlbedoProblem<'_>,
+/// Lines of which it is known what they are.
+pub struct Joints<'a> {
+    lines: &'a Lines,
+    segment: &'a [u32],
+    /// `None` where they are like their surface.
+    of_group: Vec<Option<Joint>>,
+}
+
+impl Joints<'_> {
+    /// The joint that a texel lies on.
+    pub fn at(&self, texel: usize) -> Option<Joint> {
+        self.of_group[group(self.segment[texel], self.lines.line[texel]?)]
+    }
+
+    /// Roughness of all texels, of which this is that without joints.
+    pub fn on(&self, roughness: &[f32]) -> Vec<f32> {
+        let of_texel = |(t, r): (usize, &f32)| self.at(t).map_or(*r, |joint| joint.on(*r));
+        roughness.par_iter().enumerate().map(of_texel).collect()
+    }
+}
+
+/// Which of the `lines` are joints. `roughness` is that of the texels without joints.
+pub fn find<'a>(
+    problem: &AlbedoProblem<'a>,
     judges: Judges<'_>,
     (albedo, roughness): (&[Vec3A], &[f32]),
-    lines: &Lines,
+    lines: &'a Lines,
     settings: &RoughnessSettings,
     progress: &dyn Progress,
-) -> Result<Vec<Option<Joint>>> {
+) -> Result<Joints<'a>> {
     let parent = means(roughness, problem.segment);
     let said = scan(problem, judges, (albedo, roughness), lines, settings, progress)?;
     let capped = |joint: Joint| Joint { roughness: joint.roughness.min(settings.cap), ..joint };
-    let chosen: Vec<Option<Joint>> =
+    let of_group =
         said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], &settings.joints).map(capped)).collect();
-    Ok(lines.group.iter().map(|g| chosen[(*g)?]).collect())
+    Ok(Joints { lines, segment: problem.segment.0, of_group })
 }
 
 /// Whether the darker and the brighter lines of each segment are at least a share of its texels.
@@ -162,7 +184,7 @@ fn enough(lines: &[Option<Line>], (segment, segments): (&[u32], usize), least_sh
     let mut on_lines = vec![0u32; 2 * segments];
     for (line, segment) in lines.iter().zip(segment) {
         texels[*segment as usize] += 1;
-        line.iter().for_each(|side| on_lines[2 * *segment as usize + *side as usize] += 1);
+        line.iter().for_each(|line| on_lines[group(*segment, *line)] += 1);
     }
     let enough = |(g, on_lines): (usize, &u32)| *on_lines > 0 && *on_lines as f32 >= least_share * texels[g / 2] as f32;
     on_lines.iter().enumerate().map(enough).collect()
@@ -189,29 +211,31 @@ fn scan(
     progress: &dyn Progress,
 ) -> Result<Vec<[Said; 2]>> {
     let mut said = vec![[Said::default(); 2]; 2 * problem.segment.1];
-    let group = &lines.group;
-    if group.iter().all(Option::is_none) {
+    if lines.line.iter().all(Option::is_none) {
         return Ok(said);
     }
     let sigma = problem.noise(settings.image_noise);
-    let sees = |p: usize| lines.seen(&problem.seen.rows, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
-    let sees: Vec<Option<(usize, f32)>> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
+    let sees = |p: usize| {
+        let seen = lines.seen(&problem.seen.rows, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
+        seen.map_or((NONE, 0.0), |(group, share)| (group as u32, share))
+    };
+    let sees: Vec<(u32, f32)> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
+    let before = problem.shown(albedo);
     progress.start("joints", 1 + tried().count() as u64, "roughnesses");
     for k in std::iter::once(None).chain(tried().map(Some)) {
         progress.check()?;
         let mut with = roughness.to_vec();
         if let Some(k) = k {
-            with.iter_mut().zip(group).filter(|(_, g)| g.is_some()).for_each(|(r, _)| *r = node(k));
+            with.iter_mut().zip(&lines.line).filter(|(_, line)| line.is_some()).for_each(|(r, _)| *r = node(k));
         }
         let target = problem.target(&Roughness::Texels(&with));
-        let mut albedo = albedo.to_vec();
-        problem.solve(&mut albedo, &target, &sigma, 1, settings.iterations);
-        for (p, sees) in sees.iter().enumerate() {
-            let Some((g, share)) = *sees else { continue };
+        let (mut albedo, mut shown) = (albedo.to_vec(), before.clone());
+        problem.solve((&mut albedo, &mut shown), &target, &sigma, 1, settings.iterations);
+        for (p, (group, share)) in sees.iter().enumerate().filter(|(_, (group, _))| *group != NONE) {
             let say = f64::from(share * judges.say[p]);
-            let residual = problem.residual(&albedo, &target, p);
+            let residual = problem.residual(&shown, &target, p);
             let cost = say * f64::from(cost(residual, sigma[p], settings.colour_weight));
-            let said = &mut said[g][usize::from(judges.half[p])];
+            let said = &mut said[*group as usize][usize::from(judges.half[p])];
             match k {
                 Some(k) => said.other.cost[k] += cost,
                 None => {
@@ -257,7 +281,7 @@ mod tests {
     fn what_pixels_see_of_regular_joints_is_not_their_surfaces() {
         // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5, may be paint.
         let lines = Lines {
-            group: vec![None, Some(0), None, Some(2), None, Some(4)],
+            line: vec![None, Some(Line::Darker), None, Some(Line::Darker), None, Some(Line::Darker)],
             regular: vec![true, false, true, false, false, false],
         };
         let pixel = |surface: u32, joint: f32| {

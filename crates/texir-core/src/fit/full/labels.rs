@@ -138,11 +138,12 @@ struct Ballot([(u16, f32); 6]);
 
 impl Ballot {
     fn add(&mut self, label: u16, weight: f32) {
-        let known = self.0.iter().position(|(l, _)| *l == label);
-        match (known, self.0.iter_mut().min_by(|a, b| a.1.total_cmp(&b.1))) {
-            (Some(known), _) => self.0[known].1 += weight,
-            (None, Some(weakest)) if weakest.1 < weight => *weakest = (label, weight),
-            _ => {}
+        if let Some(known) = self.0.iter_mut().find(|(l, _)| *l == label) {
+            known.1 += weight;
+        } else if let Some(weakest) = self.0.iter_mut().min_by(|a, b| a.1.total_cmp(&b.1))
+            && weakest.1 < weight
+        {
+            *weakest = (label, weight);
         }
     }
 

@@ -28,6 +28,7 @@ pub mod rims;
 pub mod scan;
 pub mod segments;
 pub mod share;
+pub mod sums;
 pub mod variation;
 
 use std::f32::consts::PI;
@@ -96,12 +97,13 @@ pub fn fit(
         // One scan for each diffuse model is enough.
         rounds.iter_mut().for_each(|settings| settings.diffuse = materials.diffuse.into());
         round += 1;
-        let Some(gather) = ground.gathers.get(round) else {
+        if round == rounds.len() {
             return Ok((materials, (round > 1).then_some(sent)));
-        };
+        }
+        let bake = if round + 1 < rounds.len() { bake::thinned } else { bake::denoised };
         let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
         backend.set_tbl(&sent, &Lights::find(backend.scene(), atlas, &sent))?;
-        let baked = bake::denoised(backend, atlas, *gather, checkpoints, &again)?;
+        let baked = bake(backend, atlas, ground.gather, checkpoints, &again)?;
         irradiance = of_texels(&baked.map(atlas, Buried::Fill), atlas);
     }
 }
@@ -159,10 +161,7 @@ fn recover(
     // and one for its joints.
     let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
     let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
-    let with_joints = |roughness: &[f32]| -> Vec<f32> {
-        joints.iter().zip(roughness).map(|(joint, r)| joint.map_or(*r, |joint| joint.on(*r))).collect()
-    };
-    problem.solve_at(&mut albedo, with_joints(&roughness), settings.albedo.rounds);
+    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds);
 
     // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by blurring.
     let palettes = problem.palettes(&albedo, &settings.palette);
@@ -172,7 +171,7 @@ fn recover(
     let known = |t: usize| seen.is_seen[t] && !outlier[t];
     let model = segments.of_texels(&segments.models(known));
     hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
-    let roughness = with_joints(&roughness);
+    let roughness = joints.on(&roughness);
 
     // What metal shows does not depend on irradiance.
     let depends = |t: usize| seen.is_seen[t] && problem.metal.get(t) != Some(&true);

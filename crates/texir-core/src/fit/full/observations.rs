@@ -7,7 +7,7 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::bands::Bands;
-use super::blocks::{self, AXIS, Patch};
+use super::blocks::{self, AXIS, Patch, Squares};
 use super::reflections::{self, Mirror};
 use super::rims;
 use super::share::Share;
@@ -161,7 +161,7 @@ impl Observer<'_> {
         let (shown, patches): (Vec<(f32, f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
         let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
         let edge = self.settings.block_edge(&view.camera);
-        let blocks = blocks::share(&indices, &patches, view.camera.width, edge);
+        let blocks = blocks::share(&indices, &patches, Squares::new(&view.camera, edge));
         let corners = &blocks.corners;
         let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
             Mirror::new(&strata.scene, *patch, &strata.points(corners[0])[0])

@@ -97,12 +97,20 @@ pub fn share(curves: &[Curve], blocks: &Blocks, mirrors: &[Mirror], angle: f32, 
 
 #[cfg(test)]
 mod tests {
+    use glam::Mat4;
+
     use super::*;
-    use crate::fit::full::blocks;
+    use crate::camera::{Camera, Projection};
+    use crate::fit::full::blocks::{self, Squares};
     use crate::rng::hash2;
 
     const WIDTH: usize = 32;
     const ANGLE: f32 = 0.02;
+
+    fn photo() -> Camera {
+        let projection = Projection::Pinhole { fx: 50.0, fy: 50.0, cx: 16.0, cy: 16.0 };
+        Camera { projection, width: WIDTH, height: WIDTH, world_from_camera: Mat4::IDENTITY }
+    }
 
     /// A wall two metres before the camera, of blocks of one pixel.
     fn wall(class: impl Fn(usize) -> u16, distance: f32) -> (Blocks, Vec<Mirror>) {
@@ -115,7 +123,8 @@ mod tests {
             })
             .collect();
         let patches: Vec<Patch> = mirrors.iter().map(|m| m.patch).collect();
-        (blocks::share(&(0..WIDTH * WIDTH).collect::<Vec<_>>(), &patches, WIDTH, 1), mirrors)
+        let squares = Squares::new(&photo(), 1);
+        (blocks::share(&(0..WIDTH * WIDTH).collect::<Vec<_>>(), &patches, squares), mirrors)
     }
 
     fn packed(curves: &[Curve]) -> Vec<PackedCurve> {

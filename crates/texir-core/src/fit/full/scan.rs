@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::nodes::{self, Between};
+use super::sums;
 use super::variation;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
@@ -205,6 +206,7 @@ pub fn scan(
     let mut slope = vec![[0.0; NODES]; problem.segment.1];
     let mut variation = vec![[0.0; NODES]; problem.segment.1];
     let told = variation::told(problem, &segment);
+    let mut shown = problem.shown(albedo);
     let rougher = [None].into_iter().chain(nodes.iter().copied().map(Some));
     for (k, rougher) in nodes.iter().copied().zip(rougher) {
         progress.check()?;
@@ -218,20 +220,19 @@ pub fn scan(
         });
         // From then on, every node begins beside its solution. The first must not look worse for its start.
         let rounds = if rougher.is_none() { FIRST_ROUNDS } else { 1 };
-        problem.solve(albedo, &target, &sigma, rounds, settings.iterations);
-        let residual: Vec<Vec3A> =
-            (0..problem.seen.len()).into_par_iter().map(|p| problem.residual(albedo, &target, p)).collect();
+        problem.solve((albedo, &mut shown), &target, &sigma, rounds, settings.iterations);
+        let residual = |p: usize| problem.residual(&shown, &target, p);
         variation.iter_mut().zip(problem.variation(albedo, &told)).for_each(|(variation, mean)| variation[k] = mean);
-        let nuisance = grazing_terms(problem, &segment, &residual, &sigma);
+        let nuisance = grazing_terms(problem, &segment, residual, &sigma);
         slope
             .iter_mut()
             .zip(&nuisance)
             .for_each(|(slope, [more, _])| slope[k] = (known(slope) + more).clamp(-1.0, 1.0));
-        (&mut costs, &residual, &sigma, &segment, &problem.seen.cosine).into_par_iter().for_each(
-            |(of_pixel, e, s, segment, cosine)| {
+        (&mut costs, &sigma, &segment, &problem.seen.cosine).into_par_iter().enumerate().for_each(
+            |(p, (of_pixel, s, segment, cosine))| {
                 if *segment != NONE {
                     let [slope, offset] = nuisance[*segment as usize];
-                    let e = *e - slope * grazing(*cosine) - offset;
+                    let e = residual(p) - slope * grazing(*cosine) - offset;
                     of_pixel[k] = f16::from_f32(cost(e, *s, settings.colour_weight));
                 }
             },
@@ -296,19 +297,20 @@ pub(super) fn cost(e: Vec3A, sigma: f32, colour_weight: f32) -> f32 {
 /// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1 beyond what rougher
 /// nodes have found: real materials
 /// differ from the BRDF in their grazing reflectance (and in retro-reflection), which a scan would take for gloss.
-fn grazing_terms(problem: &AlbedoProblem<'_>, segment: &[u32], residual: &[Vec3A], sigma: &[f32]) -> Vec<[f32; 2]> {
-    // Σ ω (1, g, g², e, g e), ω the Cauchy weight.
-    let mut sums = vec![[0.0f64; 5]; problem.segment.1];
-    for (((segment, e), s), cosine) in segment.iter().zip(residual).zip(sigma).zip(&problem.seen.cosine) {
-        if *segment != NONE {
-            let g = f64::from(grazing(*cosine));
-            let e = grey(*e);
-            let e64 = f64::from(e);
-            let weight = f64::from(1.0 / (1.0 + (e / (2.0 * s)).powi(2)) / (s * s));
-            let terms = [1.0, g, g * g, e64, g * e64];
-            sums[*segment as usize].iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
-        }
-    }
+fn grazing_terms(
+    problem: &AlbedoProblem<'_>,
+    segment: &[u32],
+    residual: impl Fn(usize) -> Vec3A + Sync,
+    sigma: &[f32],
+) -> Vec<[f32; 2]> {
+    // ω (1, g, g², e, g e), ω the Cauchy weight.
+    let of_pixel = |p: usize| {
+        let (g, e, s) = (f64::from(grazing(problem.seen.cosine[p])), grey(residual(p)), sigma[p]);
+        let weight = f64::from(1.0 / (1.0 + (e / (2.0 * s)).powi(2)) / (s * s));
+        let e = f64::from(e);
+        Some([1.0, g, g * g, e, g * e].map(|term| weight * term))
+    };
+    let sums = sums::by_group(segment, problem.segment.1, of_pixel);
     sums.into_iter()
         .map(|[w, g, gg, e, ge]| {
             if w == 0.0 {

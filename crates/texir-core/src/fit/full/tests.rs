@@ -242,7 +242,9 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
             let mut scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
             let r = vec![scanned.by_segment[0]; toy.segment.len()];
             let sigma = problem.noise(settings.albedo.image_noise);
-            problem.solve(&mut scanned.albedo, &problem.target(&Roughness::Texels(&r)), &sigma, 3, 25);
+            let mut shown = problem.shown(&scanned.albedo);
+            let target = problem.target(&Roughness::Texels(&r));
+            problem.solve((&mut scanned.albedo, &mut shown), &target, &sigma, 3, 25);
             (problem.metal.get(floor).copied().unwrap_or(false), r[0], scanned.albedo[floor])
         };
         let (is_metal, r, albedo) = metal(true);
@@ -264,7 +266,9 @@ fn least_squares_recovers_albedo_beside_highlights() {
     let sigma = problem.noise(settings.image_noise);
     let error = |r: f32| {
         let mut albedo = problem.start();
-        problem.solve(&mut albedo, &problem.target(&Roughness::Texels(&vec![r; toy.segment.len()])), &sigma, 3, 25);
+        let mut shown = problem.shown(&albedo);
+        let target = problem.target(&Roughness::Texels(&vec![r; toy.segment.len()]));
+        problem.solve((&mut albedo, &mut shown), &target, &sigma, 3, 25);
         let seen = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
         seen.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max)
     };
@@ -322,14 +326,16 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let surface = vec![0.15; toy.segment.len()];
         let target = problem.target(&Roughness::Texels(&surface));
         let mut albedo = problem.start();
-        problem.solve(&mut albedo, &target, &problem.noise(settings.image_noise), 2, 25);
+        let mut shown = problem.shown(&albedo);
+        problem.solve((&mut albedo, &mut shown), &target, &problem.noise(settings.image_noise), 2, 25);
         let pixels = toy.seen.len();
         // Every view sees each of the floor's texels once.
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
         let texel = 2.0 / FLOOR as f32;
         let judges = Judges { segment: &vec![0; pixels], say: &vec![1.0; pixels], half: &half };
         let lines = Lines::find(&problem, &albedo, texel, &roughness.joints, &Silent).unwrap();
-        joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap()
+        let joints = joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap();
+        (0..surface.len()).map(|t| joints.at(t)).collect::<Vec<_>>()
     };
     let on = |joints: &[Option<Joint>]| -> Vec<f32> { joints.iter().flatten().map(|joint| joint.on(0.15)).collect() };
     // Texels are 0.25 m wide. The diagonal's touch at their corners.
