@@ -51,12 +51,12 @@ impl Patch {
 }
 
 /// The squares that an image is cut into, row by row. Near the poles of a panorama, whose columns crowd there, they have more pixels
-/// in a row, so that they are as wide as high everywhere.
+/// in a row, so that they are as wide there as anywhere.
 pub struct Squares {
     /// Pixels in a row of the image.
     width: usize,
     /// Rows of pixels in a square.
-    edge: usize,
+    pub edge: usize,
     /// By row of squares: pixels across one,
     across: Vec<usize>,
     /// and the number of the first; at last that of all.
@@ -64,14 +64,17 @@ pub struct Squares {
 }
 
 impl Squares {
-    /// Those with `edge` rows of pixels.
-    pub fn new(camera: &Camera, edge: usize) -> Self {
+    /// Those about `angle` radians wide, of whole pixels.
+    pub fn new(camera: &Camera, angle: f32) -> Self {
         // Beyond what rounding makes of one pixel in a row for one in a column.
         const ROUNDING: f32 = 1e-3;
+        let edge = (angle / camera.pixel_angle()).round().max(1.0) as usize;
         let across = |row: usize| {
             let middle = ((row * edge) as f32 + 0.5 * edge as f32).min(camera.height as f32 - 0.5);
             let Vec2 { x, y } = camera.pixels_per_radian(middle);
-            ((edge as f32 * x / y + ROUNDING) as usize).clamp(1, camera.width)
+            // Where pixels are higher than that, they are not put together to be as wide as high.
+            let side = if angle * y < 1.0 { angle * y } else { edge as f32 };
+            ((side * x / y + ROUNDING) as usize).clamp(1, camera.width)
         };
         let across: Vec<usize> = (0..camera.height.div_ceil(edge)).map(across).collect();
         let first = |squares: &mut usize, across: &usize| {
@@ -204,7 +207,7 @@ mod tests {
 
     fn squares(edge: usize) -> Squares {
         let photo = Projection::Pinhole { fx: 8.1, fy: 8.1, cx: 4.0, cy: 4.0 };
-        Squares::new(&camera(photo, [WIDTH; 2]), edge)
+        Squares::new(&camera(photo, [WIDTH; 2]), edge as f32 / 8.1)
     }
 
     fn shared(patch: impl Fn(usize) -> Patch, edge: usize) -> Blocks {
@@ -217,7 +220,7 @@ mod tests {
     fn squares_of_a_panorama_are_as_wide_as_high_up_to_its_poles() {
         for edge in [1, 2, 5] {
             let panorama = camera(Projection::Equirectangular, [512, 256]);
-            let squares = Squares::new(&panorama, edge);
+            let squares = Squares::new(&panorama, edge as f32 * 1.001 * panorama.pixel_angle());
             let rows = 256usize.div_ceil(edge);
             for row in 0..rows {
                 let sin = (std::f32::consts::PI * ((row as f32 + 0.5) * edge as f32).min(255.5) / 256.0).sin();
@@ -230,13 +233,19 @@ mod tests {
             let share = squares.count() as f32 * (edge * edge) as f32 / panorama.pixels() as f32;
             assert!((0.63..0.8).contains(&share), "edge {edge}: {share}");
         }
+        // Pixels wider than squares are put together only where they are narrower.
+        let panorama = camera(Projection::Equirectangular, [512, 256]);
+        let narrow = Squares::new(&panorama, 0.5 * panorama.pixel_angle());
+        let sin = |row: usize| (std::f32::consts::PI * (row as f32 + 0.5) / 256.0).sin();
+        assert!((0..256).all(|row| (narrow.across[row] == 1) == (sin(row) > 0.25)));
         // Negative control: a photo's are of as many pixels everywhere.
         assert!(squares(2).across.iter().all(|across| *across == 2) && squares(2).count() == 16);
     }
 
     #[test]
     fn squares_around_one_at_a_pole_lie_in_the_same_direction() {
-        let squares = Squares::new(&camera(Projection::Equirectangular, [512, 256]), 1);
+        let panorama = camera(Projection::Equirectangular, [512, 256]);
+        let squares = Squares::new(&panorama, 1.001 * panorama.pixel_angle());
         let angle = |number: usize| {
             let row = squares.first.partition_point(|first| *first <= number) - 1;
             ((number - squares.first[row]) as f32 + 0.5) / squares.columns(row) as f32

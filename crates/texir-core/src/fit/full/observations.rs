@@ -7,7 +7,7 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::bands::Bands;
-use super::blocks::{self, AXIS, Patch, Squares};
+use super::blocks::{self, AXIS, Patch};
 use super::reflections::{self, Mirror};
 use super::rims;
 use super::share::Share;
@@ -160,8 +160,9 @@ impl Observer<'_> {
         };
         let (shown, patches): (Vec<(f32, f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
         let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
-        let edge = self.settings.block_edge(&view.camera);
-        let blocks = blocks::share(&indices, &patches, Squares::new(&view.camera, edge));
+        let squares = self.settings.squares(&view.camera);
+        let angle = squares.edge as f32 * view.camera.pixel_angle();
+        let blocks = blocks::share(&indices, &patches, squares);
         let corners = &blocks.corners;
         let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
             Mirror::new(&strata.scene, *patch, &strata.points(corners[0])[0])
@@ -179,7 +180,6 @@ impl Observer<'_> {
                 backend.specular_tables(&points, f0, sampling, progress)
             })?;
             progress.advance(skipped as u64 * u64::from(sampling.rays()));
-            let angle = edge as f32 * view.camera.pixel_angle();
             Ok::<_, Error>(reflections::share(&curves, &blocks, &mirrors, angle, self.settings.curve_sharing))
         };
         let curves = tables(&format!("view-{number}"), DIELECTRIC_F0 as f32)?;

@@ -123,7 +123,7 @@ mod tests {
             })
             .collect();
         let patches: Vec<Patch> = mirrors.iter().map(|m| m.patch).collect();
-        let squares = Squares::new(&photo(), 1);
+        let squares = Squares::new(&photo(), photo().pixel_angle());
         (blocks::share(&(0..WIDTH * WIDTH).collect::<Vec<_>>(), &patches, squares), mirrors)
     }
 
