@@ -76,6 +76,13 @@ pub struct Quality {
     pub denoise: Option<Denoiser>,
 }
 
+impl Quality {
+    /// A fixed number of rays, with most of the noise removed.
+    fn denoised(gather: Gather) -> Self {
+        Self { gather, error: None, denoise: Some(Denoiser::Regression) }
+    }
+}
+
 /// What removes the noise of a bake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Denoiser {
@@ -124,8 +131,7 @@ pub fn denoised(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
-    bake(backend, atlas, &quality, checkpoints, progress)
+    bake(backend, atlas, &Quality::denoised(gather), checkpoints, progress)
 }
 
 /// What a bake depends on: as long as none of it changes, its [`Checkpoints`] hold.
