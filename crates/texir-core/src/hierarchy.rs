@@ -19,7 +19,7 @@ const BINS: usize = 32;
 /// it could go on peeling off one box at a time.
 const HEURISTIC_LEVELS: usize = 48;
 /// Most levels of a hierarchy: traversals keep a node per level, and have room for 32.
-const MOST_LEVELS: usize = 31;
+pub const MOST_LEVELS: usize = 31;
 /// Triangles of a leaf: as many as a compressed node can hold.
 const LEAF: u32 = 3;
 /// Boxes from which on work is shared between threads.

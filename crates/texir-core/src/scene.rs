@@ -1,8 +1,11 @@
 //! The mesh with its acceleration structure: what every tracing pass runs on.
 
+use std::sync::OnceLock;
+
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 
+use crate::cpu::wide::Wide;
 use crate::error::{Error, Result};
 use crate::hierarchy;
 use crate::mesh::Mesh;
@@ -21,19 +24,8 @@ pub struct Scene {
     pub mesh: Mesh,
     /// The hierarchy; its primitive ids index [`CwBvh::primitive_indices`], which index `mesh.triangles`.
     pub bvh: CwBvh,
-    /// The triangles in the order of the hierarchy's leaves, as rays meet them.
-    pub(crate) primitives: Vec<Primitive>,
-}
-
-/// What a ray needs to know of a triangle.
-#[derive(Clone, Copy)]
-pub(crate) struct Primitive {
-    /// The first corner.
-    pub corner: [f32; 3],
-    /// From it to the second and to the third.
-    pub edges: [[f32; 3]; 2],
-    /// Index in the mesh.
-    pub triangle: u32,
+    /// What rays on the host go through: made when the first one does.
+    wide: OnceLock<Wide>,
 }
 
 impl Scene {
@@ -54,12 +46,19 @@ impl Scene {
             })
             .collect();
         let bvh = hierarchy::build(triangles);
-        let primitive = |&triangle: &u32| {
-            let [a, b, c] = mesh.corners(triangle);
-            Primitive { corner: a.to_array(), edges: [(b - a).to_array(), (c - a).to_array()], triangle }
-        };
-        let primitives = bvh.primitive_indices.iter().map(primitive).collect();
-        Ok(Self { mesh, bvh, primitives })
+        if bvh.primitive_indices.len() > Wide::MOST_PRIMITIVES {
+            return Err(Error::invalid(format!(
+                "the hierarchy has {} entries of triangles; expected at most {}: simplify the mesh, or divide it",
+                bvh.primitive_indices.len(),
+                Wide::MOST_PRIMITIVES
+            )));
+        }
+        Ok(Self { mesh, bvh, wide: OnceLock::new() })
+    }
+
+    /// The hierarchy as the host traces it.
+    pub(crate) fn wide(&self) -> &Wide {
+        self.wide.get_or_init(|| Wide::new(&self.bvh, &self.mesh))
     }
 
     /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.

@@ -3,13 +3,12 @@
 use std::f64::consts::FRAC_1_PI;
 
 use super::light_sampling::{light_density, light_point};
-use super::trace::{Lighting, Trace, TraceHit};
+use super::trace::{Lighting, Trace};
 #[cfg(doc)]
 use crate::backend::Sequences;
 use crate::backend::{Gather, Gathered};
 use crate::brdf::basis;
 use crate::lights::Lights;
-use crate::mesh::Mesh;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, lattice2};
 use crate::surface::SurfacePoint;
@@ -56,9 +55,8 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             }
             continue;
         };
-        let back = is_back_face(mesh, &hit, direction);
-        behind += u32::from(back);
-        if back && lights.density[hit.triangle as usize].per_area > 0.0 {
+        behind += u32::from(hit.back);
+        if hit.back && lights.density[hit.triangle as usize].per_area > 0.0 {
             continue;
         }
         let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_density(mesh, lights, table, &hit, direction);
@@ -71,7 +69,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
-        if !(cosine > R::of(0.0)) || hit.triangle != triangle || is_back_face(mesh, &hit, direction) {
+        if !(cosine > R::of(0.0)) || hit.triangle != triangle || hit.back {
             continue;
         }
         let density =
@@ -92,9 +90,4 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         }
     }
     Gathered { irradiance: sum.to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }
-}
-
-fn is_back_face<R: Real>(mesh: &Mesh, hit: &TraceHit<R>, direction: V3<R>) -> bool {
-    let [a, b, c] = mesh.corners(hit.triangle).map(|p| V3::of(p.to_array()));
-    (b - a).cross(c - a).dot(direction) > R::of(0.0)
 }

@@ -1,7 +1,6 @@
 //! CPU twins: one file per pass, sharing its stem with the shader, generic over the scalar. In `f64` (and [`crate::real::Dual`])
 //! they are the oracle that the WGSL is tested against; in `f32` over rayon and obvhs they are [`CpuBackend`].
 
-mod cwbvh;
 pub mod denoise;
 pub mod group_loss;
 pub mod irradiance;
@@ -17,6 +16,7 @@ pub mod shade_vjp;
 pub mod specular_table;
 pub mod texels;
 pub mod trace;
+pub(crate) mod wide;
 
 #[cfg(test)]
 mod tests;

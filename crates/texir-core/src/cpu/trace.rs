@@ -1,6 +1,5 @@
 //! Closest hits: through the hierarchy in `f32`, and by an exhaustive search in any scalar as the oracle.
 
-use super::cwbvh;
 use crate::environment::Environment;
 use crate::mesh::Mesh;
 use crate::raster::Rgb;
@@ -18,6 +17,8 @@ pub struct TraceHit<R> {
     pub v: R,
     /// Distance.
     pub t: R,
+    /// Whether it is the triangle's back that is hit.
+    pub back: bool,
 }
 
 /// Something that finds the closest hit of a ray.
@@ -28,18 +29,26 @@ pub trait Trace<R: Real>: Sync {
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>>;
 }
 
-/// Ray–triangle intersection (Möller and Trumbore 1997) by a corner and the edges from it, two-sided: `(t, u, v)`.
+/// Ray–triangle intersection (Möller and Trumbore 1997) by a corner and the edges from it, two-sided.
 #[inline]
-pub fn intersect<R: Real>(corner: V3<R>, [e1, e2]: [V3<R>; 2], origin: V3<R>, direction: V3<R>) -> Option<(R, R, R)> {
+pub fn intersect<R: Real>(
+    triangle: u32,
+    corner: V3<R>,
+    [e1, e2]: [V3<R>; 2],
+    origin: V3<R>,
+    direction: V3<R>,
+) -> Option<TraceHit<R>> {
     let zero = R::of(0.0);
     let p = direction.cross(e2);
-    let inverse = R::of(1.0) / e1.dot(p);
+    let determinant = e1.dot(p);
+    let inverse = R::of(1.0) / determinant;
     let s = origin - corner;
     let u = s.dot(p) * inverse;
     let q = s.cross(e1);
     let v = direction.dot(q) * inverse;
     let t = e2.dot(q) * inverse;
-    (u >= zero && v >= zero && u + v <= R::of(1.0) && t > zero).then_some((t, u, v))
+    let hit = TraceHit { triangle, u, v, t, back: determinant < zero };
+    (u >= zero && v >= zero && u + v <= R::of(1.0) && t > zero).then_some(hit)
 }
 
 /// Tests every triangle: slow, free of any hierarchy, exact in its scalar.
@@ -54,10 +63,10 @@ impl<R: Real> Trace<R> for Exhaustive<'_> {
         let mut best: Option<TraceHit<R>> = None;
         for triangle in 0..self.0.triangles.len() as u32 {
             let [a, b, c] = self.0.corners(triangle).map(|corner| V3::of(corner.to_array()));
-            if let Some((t, u, v)) = intersect(a, [b - a, c - a], origin, direction)
-                && best.is_none_or(|b| t < b.t)
+            if let Some(hit) = intersect(triangle, a, [b - a, c - a], origin, direction)
+                && best.is_none_or(|best| hit.t < best.t)
             {
-                best = Some(TraceHit { triangle, u, v, t });
+                best = Some(hit);
             }
         }
         best
@@ -70,7 +79,7 @@ impl Trace<f32> for Scene {
     }
 
     fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        cwbvh::closest(self, origin, direction)
+        self.wide().closest(origin, direction, f32::INFINITY)
     }
 }
 

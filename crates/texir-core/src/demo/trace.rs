@@ -1,7 +1,6 @@
 //! The flat as rays see it: hits with their materials, light samples, the specular lobe.
 
 use glam::{Vec2, Vec3};
-use obvhs::ray::Ray;
 
 use super::Flat;
 use super::emitters::{Choice, Emitters};
@@ -10,7 +9,7 @@ use crate::brdf::{
     Cosines, DIELECTRIC_F0, Masking, basis, fresnel_weight, pdf, sample_half_vector, sample_weight,
     specular_over_fresnel,
 };
-use crate::cpu::trace::{Trace, intersect};
+use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::raster::{Raster, Rgb};
 use crate::real::V3;
@@ -75,13 +74,8 @@ impl<'a> World<'a> {
     fn visible(&self, from: Vec3, to: Vec3) -> bool {
         let way = to - from;
         let length = way.length();
-        let (origin, direction) = (V3(from.to_array()), V3((way / length).to_array()));
-        let ray = Ray::new(from.into(), (way / length).into(), 0.0, length * (1.0 - 1e-4));
-        self.scene.bvh.ray_traverse_miss(ray, |_, id| {
-            let primitive = &self.scene.primitives[id];
-            let hit = intersect(V3(primitive.corner), primitive.edges.map(V3), origin, direction);
-            hit.map_or(f32::INFINITY, |(t, _, _)| t)
-        })
+        let direction = V3((way / length).to_array());
+        self.scene.wide().closest(V3(from.to_array()), direction, length * (1.0 - 1e-4)).is_none()
     }
 
     /// Emitted radiance towards the ray that met `vertex`.
