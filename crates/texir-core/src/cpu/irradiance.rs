@@ -68,8 +68,11 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             light_point(mesh, lights, table, lattice2(stretch.wrapping_mul(light_samples).wrapping_add(i), offset));
         let direction = (target - origin).normalize();
         let cosine = normal.dot(direction);
+        if !(cosine > R::of(0.0)) {
+            continue;
+        }
         let Some(hit) = lighting.tracer.closest(origin, direction) else { continue };
-        if !(cosine > R::of(0.0)) || hit.triangle != triangle || hit.back {
+        if hit.triangle != triangle || hit.back {
             continue;
         }
         let density =
