@@ -6,10 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::atlas::LARGEST_SIDE;
 use crate::backend::RoughnessGradient;
 use crate::brdf::Masking;
-use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
-use crate::fit::full::blocks::Squares;
 use crate::rng::hash2;
 use crate::specular_table::TableSampling;
 
@@ -560,24 +558,10 @@ fn roughness(name: &'static str, value: f32) -> Check {
 }
 
 impl FullSettings {
-    /// The squares of a view within which light samples are shared.
-    pub fn squares(&self, camera: &Camera) -> Squares {
-        Squares::new(camera, self.block_angle.to_radians())
-    }
-
     /// How the light samples of view `view` are drawn in a run of seed `seed`.
     pub fn sampling(&self, seed: u32, view: u32) -> TableSampling {
         let Self { lobe_samples: lobe, cosine_samples: cosine, light_samples: light, masking, .. } = *self;
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
-    }
-
-    /// Rays that the light samples of a view take in all rounds.
-    pub fn rays(&self, camera: &Camera) -> u64 {
-        let of_round = |round: Self| {
-            let blocks = round.squares(camera).count();
-            blocks as u64 * u64::from(round.sampling(0, 0).rays())
-        };
-        self.rounds().into_iter().map(of_round).sum()
     }
 
     fn checks(&self) -> Vec<Check> {
@@ -728,7 +712,7 @@ impl FitSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Projection;
+    use crate::camera::{Camera, Projection};
 
     #[test]
     fn diffuse_models_are_chosen_by_name() {

@@ -28,6 +28,7 @@ pub mod rims;
 pub mod scan;
 pub mod segments;
 pub mod share;
+pub mod squares;
 pub mod sums;
 pub mod variation;
 

@@ -101,7 +101,7 @@ mod tests {
 
     use super::*;
     use crate::camera::{Camera, Projection};
-    use crate::fit::full::blocks::{self, Squares};
+    use crate::fit::full::{blocks, squares::Squares};
     use crate::rng::hash2;
 
     const WIDTH: usize = 32;
