@@ -18,7 +18,8 @@ const BINS: usize = 32;
 /// Levels of the binary hierarchy in which the heuristic decides; below, boxes are halved by number. Far more than it needs:
 /// it could go on peeling off one box at a time.
 const HEURISTIC_LEVELS: usize = 48;
-/// Most levels of a hierarchy: traversals keep a node per level, and have room for 32.
+/// Most levels of a hierarchy: the shaders' traversal keeps an entry per level and has room for 32; the size of the host's stack follows from
+/// this.
 pub const MOST_LEVELS: usize = 31;
 /// Triangles of a leaf: as many as a compressed node can hold.
 const LEAF: u32 = 3;

@@ -5,13 +5,16 @@ use std::sync::OnceLock;
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 
-use crate::cpu::wide::Wide;
+use crate::cpu::wide::WideBvh;
 use crate::error::{Error, Result};
 use crate::hierarchy;
 use crate::mesh::Mesh;
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
+
+/// Nodes and the costs of packing them are counted in 32 bits, of which there are up to 14 to each triangle and each part of one.
+const MOST_TRIANGLES: usize = 1 << 27;
 
 /// Bytes of a triangle while the hierarchy over them is built: itself, its box, nodes and the costs of packing them.
 const TRIANGLE: u64 = 270;
@@ -25,14 +28,20 @@ pub struct Scene {
     /// The hierarchy; its primitive ids index [`CwBvh::primitive_indices`], which index `mesh.triangles`.
     pub bvh: CwBvh,
     /// What rays on the host go through: made when the first one does.
-    wide: OnceLock<Wide>,
+    wide: OnceLock<WideBvh>,
 }
 
 impl Scene {
-    /// Builds the hierarchy. Errors on a mesh without triangles, or with vertices that are nowhere near it.
+    /// Builds the hierarchy. Errors on a mesh without triangles, with more than 2²⁷, or with vertices that are nowhere near it.
     pub fn new(mesh: Mesh) -> Result<Self> {
         if mesh.triangles.is_empty() {
             return Err(Error::invalid("the mesh has no triangles"));
+        }
+        if mesh.triangles.len() > MOST_TRIANGLES {
+            return Err(Error::invalid(format!(
+                "the mesh has {} triangles; expected at most {MOST_TRIANGLES}: simplify it, or divide it",
+                mesh.triangles.len()
+            )));
         }
         if let Some(p) = mesh.positions.iter().find(|p| !(p.abs().max_element() <= FARTHEST)) {
             return Err(Error::invalid(format!(
@@ -46,19 +55,12 @@ impl Scene {
             })
             .collect();
         let bvh = hierarchy::build(triangles);
-        if bvh.primitive_indices.len() > Wide::MOST_PRIMITIVES {
-            return Err(Error::invalid(format!(
-                "the hierarchy has {} entries of triangles; expected at most {}: simplify the mesh, or divide it",
-                bvh.primitive_indices.len(),
-                Wide::MOST_PRIMITIVES
-            )));
-        }
         Ok(Self { mesh, bvh, wide: OnceLock::new() })
     }
 
     /// The hierarchy as the host traces it.
-    pub(crate) fn wide(&self) -> &Wide {
-        self.wide.get_or_init(|| Wide::new(&self.bvh, &self.mesh))
+    pub(crate) fn wide(&self) -> &WideBvh {
+        self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh))
     }
 
     /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.

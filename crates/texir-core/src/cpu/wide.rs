@@ -1,7 +1,7 @@
 //! Closest hits in `f32`: obvhs's hierarchy as processors trace it, its nodes unpacked, the eight children of one tested at once and
 //! the nearest entered first.
 //!
-//! A packed node has 80 bytes, as GPUs want it; unpacked it has 256 and is tested in two thirds of the time.
+//! A packed node has 80 bytes, as GPUs want it; unpacked it has 256, and nothing needs to be decoded where rays meet it.
 
 use std::ops::Range;
 
@@ -18,17 +18,18 @@ use crate::surface::Hit;
 
 /// Children of a node.
 const WIDTH: usize = 8;
-/// Most children that wait while others are looked into: all but one of every level.
-const WAITING: usize = (WIDTH - 1) * MOST_LEVELS;
+/// Children that are on the stack at most: all but one of every level.
+const STACK_SIZE: usize = (WIDTH - 1) * MOST_LEVELS;
 /// Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
-/// Triangles are hit by other roundings than boxes: boxes are wider by this share of their largest coordinate.
+/// Intersection tests round differently from slab tests, and boxes were rounded when they were packed: they are wider by this share of
+/// the largest coordinate of their node.
 const MARGIN: f32 = 4.0 * f32::EPSILON;
 /// Directions nearer to 0 than this are taken for it, so that the inverse is finite.
 const TINY: f32 = 1e-20;
 
 /// A hierarchy over triangles.
-pub(crate) struct Wide {
+pub(crate) struct WideBvh {
     /// As obvhs numbers them.
     nodes: Vec<Node>,
     /// In the order of the leaves.
@@ -39,8 +40,9 @@ pub(crate) struct Wide {
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Node {
-    /// Least and greatest x of the eight boxes, y, and z. Nothing enters the box of a child that is missing.
+    /// Least and greatest x of the eight boxes, y, and z. Nothing enters the box of a child that is missing,
     bounds: [[f32; WIDTH]; 6],
+    /// which is a leaf without triangles, as NaN enters any box.
     children: [Child; WIDTH],
 }
 
@@ -66,9 +68,9 @@ struct Ray {
     near: [usize; 3],
 }
 
-/// A child whose box a ray enters.
+/// A child whose box the ray enters, and when.
 #[derive(Clone, Copy)]
-struct Entered {
+struct StackEntry {
     child: Child,
     distance: f32,
 }
@@ -97,7 +99,7 @@ impl Child {
 impl Node {
     const EMPTY: Self = {
         let [least, greatest] = [[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]];
-        Self { bounds: [least, greatest, least, greatest, least, greatest], children: [Child::ROOT; WIDTH] }
+        Self { bounds: [least, greatest, least, greatest, least, greatest], children: [Child(Child::LEAF); WIDTH] }
     };
 }
 
@@ -108,10 +110,7 @@ impl Ray {
     }
 }
 
-impl Wide {
-    /// Most triangles that its leaves can tell apart; one that is in several leaves counts in each.
-    pub const MOST_PRIMITIVES: usize = 1 << Child::COUNT;
-
+impl WideBvh {
     /// Unpacks a hierarchy over the triangles of a mesh.
     pub fn new(bvh: &CwBvh, mesh: &Mesh) -> Self {
         let primitive = |&triangle: &u32| {
@@ -127,6 +126,8 @@ impl Wide {
     /// Unpacks a node and those below it. Returns what is in them.
     fn unpack(&mut self, bvh: &CwBvh, mesh: &Mesh, index: u32) -> Aabb {
         let packed = &bvh.nodes[index as usize];
+        let whole = packed.aabb();
+        let margin = Vec3A::splat(MARGIN * whole.min.abs().max(whole.max.abs()).max_element());
         let mut all = Aabb::INVALID;
         for k in (0..WIDTH).filter(|&k| !packed.is_child_empty(k)) {
             let (child, held) = if packed.is_leaf(k) {
@@ -140,7 +141,6 @@ impl Wide {
             // A packed box is rounded out to a grid, but tells which part of a triangle in several leaves is in this one.
             let packed = packed.child_aabb(k);
             let (least, greatest) = (held.min.max(packed.min), held.max.min(packed.max));
-            let margin = Vec3A::splat(MARGIN * least.abs().max(greatest.abs()).max_element());
             let held = Aabb::new(least - margin, greatest + margin);
             let node = &mut self.nodes[index as usize];
             node.children[k] = child;
@@ -173,15 +173,15 @@ impl Wide {
     ) -> Option<TraceHit<f32>> {
         let ray = Ray::new(origin, direction);
         let mut best = TraceHit { triangle: Hit::NONE, u: 0.0, v: 0.0, t: t_max, back: false };
-        // The nearest comes last.
-        let mut waiting = ArrayVec::<Entered, WAITING>::new();
+        // The nearest on top.
+        let mut stack = ArrayVec::<StackEntry, STACK_SIZE>::new();
         let mut child = Child::ROOT;
         loop {
             // Down to a leaf, unless nothing on the way is entered.
             while !child.is_leaf() {
                 let node = &self.nodes[child.0 as usize];
                 let (distances, entered) = test(node, &ray, best.t);
-                match nearest(node, &distances, entered, &mut waiting) {
+                match nearest(node, &distances, entered, &mut stack) {
                     Some(nearest) => child = nearest,
                     None => break,
                 }
@@ -197,7 +197,7 @@ impl Wide {
                 }
             }
             child = loop {
-                match waiting.pop() {
+                match stack.pop() {
                     Some(entered) if entered.distance <= best.t => break entered.child,
                     Some(_) => {}
                     None => return (best.triangle != Hit::NONE).then_some(best),
@@ -207,32 +207,32 @@ impl Wide {
     }
 }
 
-/// The nearest of the children that are entered; the others wait.
+/// The nearest of the children that are entered; the others go onto the stack.
 #[inline(always)]
 fn nearest(
     node: &Node,
     distances: &[f32; WIDTH],
     mut entered: u32,
-    waiting: &mut ArrayVec<Entered, WAITING>,
+    stack: &mut ArrayVec<StackEntry, STACK_SIZE>,
 ) -> Option<Child> {
     let mut take = || {
         let k = entered.trailing_zeros() as usize;
         entered &= entered.wrapping_sub(1);
-        (k < WIDTH).then(|| Entered { child: node.children[k], distance: distances[k] })
+        (k < WIDTH).then(|| StackEntry { child: node.children[k], distance: distances[k] })
     };
     let mut nearest = take()?;
-    let first = waiting.len();
+    let first = stack.len();
     while let Some(mut other) = take() {
         if other.distance < nearest.distance {
             std::mem::swap(&mut other, &mut nearest);
         }
-        let mut at = waiting.len();
-        waiting.push(other);
-        while at > first && waiting[at - 1].distance < other.distance {
-            waiting[at] = waiting[at - 1];
+        let mut at = stack.len();
+        stack.push(other);
+        while at > first && stack[at - 1].distance < other.distance {
+            stack[at] = stack[at - 1];
             at -= 1;
         }
-        waiting[at] = other;
+        stack[at] = other;
     }
     Some(nearest.child)
 }
@@ -258,12 +258,12 @@ fn portable(node: &Node, ray: &Ray, t_max: f32) -> ([f32; WIDTH], u32) {
 mod avx2 {
     use std::arch::x86_64::*;
 
-    use super::{Node, Ray, SLAB_ROUNDING, WIDTH, Wide};
+    use super::{Node, Ray, SLAB_ROUNDING, WIDTH, WideBvh};
     use crate::cpu::trace::TraceHit;
     use crate::real::V3;
 
     #[target_feature(enable = "avx2")]
-    pub fn closest(wide: &Wide, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
+    pub fn closest(wide: &WideBvh, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
         wide.search(origin, direction, t_max, |node, ray, t_max| test(node, ray, t_max))
     }
 
@@ -348,5 +348,43 @@ mod tests {
             }
         }
         assert!((300..3700).contains(&hits), "{hits} of 4000 rays hit");
+    }
+
+    #[test]
+    fn thin_things_within_large_nodes_are_hit() {
+        // A panel a few rounding errors off the middle of a scene that is 200 m wide.
+        let mut mesh = Mesh::default();
+        for (x, size) in
+            [(-3e-6, 1.0), (-100.0, 9.0), (-75.0, 9.0), (-50.0, 9.0), (50.0, 9.0), (75.0, 9.0), (100.0, 9.0)]
+        {
+            let corner = mesh.positions.len() as u32;
+            mesh.positions
+                .extend([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]].map(|[y, z]| Vec3::new(x, size * y, size * z)));
+            mesh.triangles.push([corner, corner + 1, corner + 2]);
+        }
+        mesh.normals = vec![Vec3::X; mesh.positions.len()];
+        mesh.uvs = vec![Vec2::ZERO; mesh.positions.len()];
+        let scene = Scene::new(mesh).unwrap();
+        for i in 1..1000 {
+            let away = i as f32 * 0.01;
+            for x in [away, -away] {
+                let (origin, direction) = (V3([x, 0.5, 0.2]), V3([-x.signum(), 0.0, 0.0]));
+                let hit = scene.wide().closest(origin, direction, f32::INFINITY).unwrap();
+                assert_eq!(hit.triangle, 0, "from {x}");
+            }
+        }
+    }
+
+    #[test]
+    fn rays_that_are_not_numbers_hit_nothing() {
+        let scene = scene();
+        let wide = scene.wide();
+        let (numbers, nan) = (V3([0.5, 0.5, 0.5]), f32::NAN);
+        for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([nan, 0.5, 0.5])] {
+            for (origin, direction) in [(numbers, none), (none, numbers), (none, none)] {
+                assert!(wide.closest(origin, direction, f32::INFINITY).is_none());
+                assert!(wide.search(origin, direction, f32::INFINITY, portable).is_none());
+            }
+        }
     }
 }

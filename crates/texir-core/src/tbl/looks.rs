@@ -108,11 +108,11 @@ fn shares(fusion: &Fusion<'_>, view: usize, index: &TexelIndex, pixel: usize, ra
     for k in 0..n * n {
         let (dx, dy) = ((k % n) as f32 + 0.5, (k / n) as f32 + 0.5);
         let direction = camera.direction(x + dx / n as f32, y + dy / n as f32);
-        let Some(hit) = scene.closest(origin, V3(direction.to_array())).map(Hit::from) else { continue };
-        if scene.mesh.face_normal(hit.triangle).dot(direction) > 0.0 {
+        let Some(hit) = scene.closest(origin, V3(direction.to_array())) else { continue };
+        if hit.back {
             return Vec::new();
         }
-        taps.extend(index.nearest(hit.uv(&scene.mesh)).map(|texel| Tap { texel, weight }));
+        taps.extend(index.nearest(Hit::from(hit).uv(&scene.mesh)).map(|texel| Tap { texel, weight }));
     }
     let shown = taps.len() as f32 * weight;
     merge(&mut taps);

@@ -11,9 +11,6 @@ use crate::specular_table::STRATA;
 const SAME_WAY: f32 = 0.98;
 /// How far pixels that share samples may lie off each other's tangent plane, as a share of their distance.
 const FLAT: f32 = 0.1;
-/// Strata of a pixel or of a block, per axis.
-pub const AXIS: usize = 2;
-const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a square");
 
 /// What a pixel sees, as far as it decides whose reflections it can share.
 #[derive(Clone, Copy, Debug)]
@@ -110,6 +107,7 @@ pub fn share(pixels: &[usize], patches: &[Patch], squares: Squares) -> Blocks {
 mod tests {
     use bytemuck::Zeroable;
 
+    use super::super::squares::AXIS;
     use super::super::squares::tests::of_photo;
     use super::*;
 

@@ -7,10 +7,11 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::bands::Bands;
-use super::blocks::{self, AXIS, Patch};
+use super::blocks::{self, Patch};
 use super::reflections::{self, Mirror};
 use super::rims;
 use super::share::Share;
+use super::squares::AXIS;
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, ShadePoint};
 use crate::brdf::DIELECTRIC_F0;

@@ -2,9 +2,13 @@
 
 use glam::Vec2;
 
-use super::blocks::AXIS;
 use crate::camera::Camera;
 use crate::fit::settings::FullSettings;
+use crate::specular_table::STRATA;
+
+/// Strata of a pixel or of a block, per axis.
+pub const AXIS: usize = 2;
+const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a square");
 
 /// The squares that an image is cut into, row by row. Near the poles of a panorama, whose columns crowd there, they have more pixels
 /// in a row, so that they are as wide there as anywhere.
