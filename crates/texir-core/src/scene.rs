@@ -5,10 +5,12 @@ use std::sync::OnceLock;
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 
+use crate::cpu::trace::{Trace, TraceHit};
 use crate::cpu::wide::WideBvh;
 use crate::error::{Error, Result};
 use crate::hierarchy;
 use crate::mesh::Mesh;
+use crate::real::V3;
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
@@ -66,6 +68,16 @@ impl Scene {
     /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.
     pub fn memory(mesh: &Mesh) -> u64 {
         mesh.triangles.len() as u64 * TRIANGLE + mesh.positions.len() as u64 * VERTEX
+    }
+}
+
+impl Trace<f32> for Scene {
+    fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
+        self.wide().closest(origin, direction, f32::INFINITY)
     }
 }
 

@@ -1,10 +1,10 @@
-//! Closest hits: through the hierarchy in `f32`, and by an exhaustive search in any scalar as the oracle.
+//! Closest hits: what finds them, of which there is [`Scene`](crate::scene::Scene) in `f32`, and an exhaustive search in any scalar as
+//! the oracle.
 
 use crate::environment::Environment;
 use crate::mesh::Mesh;
 use crate::raster::Rgb;
 use crate::real::{Real, V3};
-use crate::scene::Scene;
 
 /// A closest hit; see [`crate::surface::Hit`].
 #[derive(Clone, Copy, Debug)]
@@ -70,16 +70,6 @@ impl<R: Real> Trace<R> for Exhaustive<'_> {
             }
         }
         best
-    }
-}
-
-impl Trace<f32> for Scene {
-    fn mesh(&self) -> &Mesh {
-        &self.mesh
-    }
-
-    fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        self.wide().closest(origin, direction, f32::INFINITY)
     }
 }
 
