@@ -9,7 +9,7 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
-use super::lines::{Line, Paint};
+use super::lines::{Covered, Line, Paint};
 use super::local::half_at;
 use super::scan::{Tally, cost};
 use super::share::Share;
@@ -22,8 +22,10 @@ use crate::texture::Rows;
 
 /// Albedo of a black line, so that its logarithm stays finite.
 const BLACK: f32 = 0.01;
-/// A pixel speaks for the lines that it sees from this share of it on.
+/// A pixel speaks for the lines that it sees from this share of it on,
 const LEAST: f32 = 0.2;
+/// unless ends of boards, whose places are not seen one by one, have this share of it.
+const END: f32 = 0.05;
 
 /// Nodes that are tried: every other one, from rough to smooth.
 fn tried() -> impl Iterator<Item = usize> {
@@ -40,10 +42,15 @@ pub struct Joint {
 }
 
 impl Joint {
-    /// The roughness of a texel on a joint whose surface has this one.
-    pub fn on(&self, surface: f32) -> f32 {
-        surface * (self.roughness / surface).powf(self.believed)
+    /// The roughness of a texel that a joint covers so much of, whose surface has this one.
+    pub fn on(&self, surface: f32, share: f32) -> f32 {
+        mixed(surface, surface * (self.roughness / surface).powf(self.believed), share)
     }
+}
+
+/// The roughness of a texel of two: textures are filtered.
+fn mixed(surface: f32, joint: f32, share: f32) -> f32 {
+    surface + share * (joint - surface)
 }
 
 /// Who the pixels are that judge joints. Lists are per pixel.
@@ -68,8 +75,8 @@ struct Said {
 
 /// Lines that may be joints.
 pub struct Lines {
-    /// What each texel is of; `None` beside them.
-    line: Vec<Option<Line>>,
+    /// What each texel has of them; `None` beside them.
+    covered: Vec<Option<Covered>>,
     /// Whether the lines of each group ([`group`]) are at equal distances, as few patterns but joints are.
     regular: Vec<bool>,
 }
@@ -90,35 +97,48 @@ impl Lines {
     ) -> Result<Self> {
         let (segment, segments) = problem.segment;
         if settings.width == 0.0 {
-            return Ok(Self { line: vec![None; segment.len()], regular: vec![false; 2 * segments] });
+            return Ok(Self { covered: vec![None; segment.len()], regular: vec![false; 2 * segments] });
         }
         let ln: Vec<f32> = albedo.par_iter().map(|a| (a.element_sum() / 3.0 + BLACK).ln()).collect();
         let (adjacency, is_seen) = (problem.adjacency, &problem.seen.is_seen[..]);
         let paint = Paint { ln: &ln, is_seen, segment, adjacency, texel };
-        let straight = settings.straight.iter().map(|course| paint.straight(course, settings.width));
+        let wholly = |lines: Vec<Option<Line>>| lines.into_iter().map(|line| line.map(Covered::wholly)).collect();
+        let straight = settings.straight.iter().map(|course| wholly(paint.straight(course, settings.width)));
         let regular = paint.regular(settings.width, progress)?;
-        let kinds: Vec<Vec<Option<Line>>> =
-            std::iter::once(regular).chain(straight).chain([paint.narrow(settings)]).collect();
+        let kinds: Vec<Vec<Option<Covered>>> =
+            std::iter::once(regular).chain(straight).chain([wholly(paint.narrow(settings))]).collect();
         let enough: Vec<Vec<bool>> =
             kinds.iter().map(|lines| enough(lines, problem.segment, settings.least_share)).collect();
-        let line = |t: usize| -> Option<Line> {
+        let covered = |t: usize| -> Option<Covered> {
             let kind = |line: Line| enough.iter().position(|enough| enough[group(segment[t], line)]);
-            let is = |line: &Line| kind(*line).is_some_and(|kind| kinds[kind][t] == Some(*line));
-            [Line::Darker, Line::Brighter].into_iter().find(is)
+            let by = |line: Line| kinds[kind(line)?][t].filter(|covered| covered.line == line);
+            [Line::Darker, Line::Brighter].into_iter().find_map(by)
         };
-        let line = (0..segment.len()).into_par_iter().map(line).collect();
-        Ok(Self { line, regular: enough[0].clone() })
+        let covered = (0..segment.len()).into_par_iter().map(covered).collect();
+        Ok(Self { covered, regular: enough[0].clone() })
     }
 
     /// The group that a pixel of `segment` sees most of, and its share.
     fn seen(&self, rows: &Rows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
         let mut shares = [0.0; 2];
         for share in rows.row(pixel) {
-            self.line[share.texel as usize].into_iter().for_each(|line| shares[line as usize] += share.weight());
+            if let Some(covered) = self.covered[share.texel as usize] {
+                shares[covered.line as usize] += covered.share() * share.weight();
+            }
         }
         let (line, share) =
             if shares[0] >= shares[1] { (Line::Darker, shares[0]) } else { (Line::Brighter, shares[1]) };
         (segment != NONE && share > 0.0).then(|| (group(segment, line), share))
+    }
+
+    /// The share of a pixel that ends of boards have.
+    fn ends(&self, rows: &Rows<Share>, pixel: usize) -> f32 {
+        let of = |share: &Share| {
+            self.covered[share.texel as usize]
+                .filter(|covered| covered.is_end)
+                .map_or(0.0, |covered| covered.share() * share.weight())
+        };
+        rows.row(pixel).iter().map(of).sum()
     }
 
     /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's. Where that
@@ -149,14 +169,15 @@ pub struct Joints<'a> {
 }
 
 impl Joints<'_> {
-    /// The joint that a texel lies on.
-    pub fn at(&self, texel: usize) -> Option<Joint> {
-        self.of_group[group(self.segment[texel], self.lines.line[texel]?)]
+    /// The joint that a texel lies on, and the share that it covers.
+    pub fn at(&self, texel: usize) -> Option<(Joint, f32)> {
+        let covered = self.lines.covered[texel]?;
+        Some((self.of_group[group(self.segment[texel], covered.line)]?, covered.share()))
     }
 
     /// Roughness of all texels, of which this is that without joints.
     pub fn on(&self, roughness: &[f32]) -> Vec<f32> {
-        let of_texel = |(t, r): (usize, &f32)| self.at(t).map_or(*r, |joint| joint.on(*r));
+        let of_texel = |(t, r): (usize, &f32)| self.at(t).map_or(*r, |(joint, share)| joint.on(*r, share));
         roughness.par_iter().enumerate().map(of_texel).collect()
     }
 }
@@ -179,14 +200,16 @@ pub fn find<'a>(
 }
 
 /// Whether the darker and the brighter lines of each segment are at least a share of its texels.
-fn enough(lines: &[Option<Line>], (segment, segments): (&[u32], usize), least_share: f32) -> Vec<bool> {
+fn enough(lines: &[Option<Covered>], (segment, segments): (&[u32], usize), least_share: f32) -> Vec<bool> {
     let mut texels = vec![0u32; segments];
-    let mut on_lines = vec![0u32; 2 * segments];
-    for (line, segment) in lines.iter().zip(segment) {
+    let mut on_lines = vec![0.0; 2 * segments];
+    for (covered, segment) in lines.iter().zip(segment) {
         texels[*segment as usize] += 1;
-        line.iter().for_each(|line| on_lines[group(*segment, *line)] += 1);
+        covered.iter().for_each(|covered| on_lines[group(*segment, covered.line)] += f64::from(covered.share()));
     }
-    let enough = |(g, on_lines): (usize, &u32)| *on_lines > 0 && *on_lines as f32 >= least_share * texels[g / 2] as f32;
+    let enough = |(g, on_lines): (usize, &f64)| {
+        *on_lines > 0.0 && *on_lines >= f64::from(least_share) * f64::from(texels[g / 2])
+    };
     on_lines.iter().enumerate().map(enough).collect()
 }
 
@@ -211,12 +234,13 @@ fn scan(
     progress: &dyn Progress,
 ) -> Result<Vec<[Said; 2]>> {
     let mut said = vec![[Said::default(); 2]; 2 * problem.segment.1];
-    if lines.line.iter().all(Option::is_none) {
+    if lines.covered.iter().all(Option::is_none) {
         return Ok(said);
     }
     let sigma = problem.noise(settings.image_noise);
     let sees = |p: usize| {
         let seen = lines.seen(&problem.seen.rows, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
+        let seen = seen.filter(|_| lines.ends(&problem.seen.rows, p) < END);
         seen.map_or((NONE, 0.0), |(group, share)| (group as u32, share))
     };
     let sees: Vec<(u32, f32)> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
@@ -226,7 +250,9 @@ fn scan(
         progress.check()?;
         let mut with = roughness.to_vec();
         if let Some(k) = k {
-            with.iter_mut().zip(&lines.line).filter(|(_, line)| line.is_some()).for_each(|(r, _)| *r = node(k));
+            for (r, covered) in with.iter_mut().zip(&lines.covered) {
+                covered.iter().for_each(|covered| *r = mixed(*r, node(k), covered.share()));
+            }
         }
         let target = problem.target(&Roughness::Texels(&with));
         let (mut albedo, mut shown) = (albedo.to_vec(), before.clone());
@@ -250,6 +276,15 @@ fn scan(
     Ok(said)
 }
 
+/// Roughness of the least of what was tried, by the parabola in ln r through it and its neighbours.
+fn between(least: usize, at: impl Fn(usize) -> f32) -> f32 {
+    let neighbours = tried().filter(|k| k.abs_diff(least) == 2).collect::<Vec<_>>();
+    let [rougher, smoother] = neighbours[..] else { return node(least) };
+    let [up, down] = [rougher, smoother].map(|k| at(k) - at(least));
+    let step = if up + down > 0.0 { 0.5 * (down - up) / (up + down) } else { 0.0 };
+    node(least) * (node(rougher) / node(least)).powf(step)
+}
+
 /// What a group's lines are, if not like their surface, whose roughness is `parent`.
 fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joint> {
     let both = Tally::sum(said.iter().map(|half| &half.other));
@@ -269,7 +304,8 @@ fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joi
     let gain = both.ln_mean(first.same + second.same) - both.ln_mean(judged(first, second) + judged(second, first));
     let pixels = both.pixels as f32;
     let believed = half_at(settings.agreement, gain * pixels / (pixels + settings.half_pixels));
-    best(&both).filter(|_| believed > 0.0).map(|k| Joint { roughness: node(k), believed })
+    let at = |k: usize| both.ln_mean(both.cost[k]) + settings.pull * (2.0 * (node(k) - parent)).powi(2);
+    best(&both).filter(|_| believed > 0.0).map(|k| Joint { roughness: between(k, at), believed })
 }
 
 #[cfg(test)]
@@ -278,10 +314,35 @@ mod tests {
     use crate::texture::Tap;
 
     #[test]
+    fn a_joint_that_covers_part_of_a_texel_has_part_of_it() {
+        let joint = Joint { roughness: 0.4, believed: 1.0 };
+        assert_eq!([0.0, 0.25, 1.0].map(|share| joint.on(0.2, share)), [0.2, 0.25, 0.4]);
+        // Half believed, it is half as far by the logarithm.
+        assert!((Joint { believed: 0.5, ..joint }.on(0.1, 1.0) - 0.2).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_least_is_found_between_what_is_tried() {
+        let tried: Vec<usize> = tried().collect();
+        let k = tried[tried.len() / 2];
+        let step = (node(tried[0]) / node(tried[1])).ln();
+        for off in [-0.4, 0.0, 0.3] {
+            let true_ln = node(k).ln() + off * step;
+            let found = between(k, |k| (node(k).ln() - true_ln).powi(2));
+            assert!((found.ln() - true_ln).abs() < 1e-3, "{off}: {found}");
+        }
+        // At either end of what is tried there is nothing between, and where all cost the same nothing is nearer.
+        assert_eq!(between(tried[0], |k| k as f32), node(tried[0]));
+        assert_eq!(between(k, |_| 1.0), node(k));
+    }
+
+    #[test]
     fn what_pixels_see_of_regular_joints_is_not_their_surfaces() {
         // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5, may be paint.
         let lines = Lines {
-            line: vec![None, Some(Line::Darker), None, Some(Line::Darker), None, Some(Line::Darker)],
+            covered: [false, true, false, true, false, true]
+                .map(|on| on.then_some(Covered::wholly(Line::Darker)))
+                .to_vec(),
             regular: vec![true, false, true, false, false, false],
         };
         let pixel = |surface: u32, joint: f32| {

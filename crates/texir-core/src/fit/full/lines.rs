@@ -8,12 +8,47 @@ use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{JointSettings, Straight};
 
 /// What a line is beside what is around it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Line {
     /// Darker.
     Darker,
     /// Brighter.
     Brighter,
+}
+
+/// A texel on a line, or in part. Greater is more of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Covered {
+    /// In 255ths, not 0.
+    share: u8,
+    /// What covers it,
+    pub line: Line,
+    /// and whether that is the end of a board, whose place follows from those of others.
+    pub is_end: bool,
+}
+
+impl Covered {
+    /// All of it.
+    pub fn wholly(line: Line) -> Self {
+        Self { share: u8::MAX, line, is_end: false }
+    }
+
+    /// A texel so far from the middle of a line that is half as wide as this, in texels; `None` beside it.
+    pub fn of(line: Line, distance: f32, half_width: f32) -> Option<Self> {
+        let share = (half_width + 0.5 - distance).clamp(0.0, 1.0);
+        let share = (share * f32::from(u8::MAX)).round() as u8;
+        (share > 0).then_some(Self { share, line, is_end: false })
+    }
+
+    /// By the end of a board.
+    pub fn at_end(self) -> Self {
+        Self { is_end: true, ..self }
+    }
+
+    /// The share of the texel, in (0, 1].
+    pub fn share(self) -> f32 {
+        f32::from(self.share) / f32::from(u8::MAX)
+    }
 }
 
 /// What surfaces are painted with. Lists are per texel.
@@ -231,6 +266,17 @@ pub(super) mod tests {
         let dark = |t: usize| lines[t] == Some(Line::Darker);
         let both = count(&|t| dark(t) && is_joint(t));
         [both / count(&is_joint), both / count(&dark).max(1.0)]
+    }
+
+    #[test]
+    fn lines_cover_as_much_as_they_are_wide() {
+        for half_width in [0.5, 0.8, 1.6] {
+            for middle in [0.0, 0.2, 0.5, 0.9] {
+                let shares = (-5..=5).filter_map(|t| Covered::of(Line::Darker, (t as f32 - middle).abs(), half_width));
+                let sum: f32 = shares.map(Covered::share).sum();
+                assert!((sum - 2.0 * half_width).abs() < 0.01, "{half_width} {middle}: {sum}");
+            }
+        }
     }
 
     #[test]

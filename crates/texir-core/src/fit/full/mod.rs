@@ -11,6 +11,7 @@ pub mod blocks;
 pub mod borders;
 pub mod colours;
 pub mod confidence;
+mod ends;
 pub mod hidden;
 pub mod hierarchy;
 pub mod joints;

@@ -6,7 +6,8 @@
 
 use rayon::prelude::*;
 
-use super::lines::{AXES, Line, Paint};
+use super::ends::{Ends, Strip};
+use super::lines::{AXES, Covered, Line, Paint};
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -25,8 +26,8 @@ const LEAST_CONTRAST: f32 = 0.05;
 const LEAST_ALIKE: f32 = 0.8;
 /// A line is as wide as it has this share of its contrast,
 const WIDE: f32 = 2.0 / 3.0;
-/// and half as wide as this at least, rows.
-const NARROWEST: f32 = 0.6;
+/// and half as wide as this at least, rows: what is narrower cannot be told from a fainter one of this width.
+const NARROWEST: f32 = 0.5;
 /// How much of a row must be seen, metres.
 const SEEN: f32 = 0.25;
 
@@ -34,30 +35,37 @@ const SEEN: f32 = 0.25;
 type Piece = Vec<(u32, [i32; 2])>;
 
 impl Paint<'_> {
-    /// Which texels, seen or not, lie on lines along the rows or the columns of the atlas that are at equal distances in their
-    /// chart. None where texels are wider than lines may be (`width`, metres).
-    pub fn regular(&self, width: f32, progress: &dyn Progress) -> Result<Vec<Option<Line>>> {
+    /// What texels, seen or not, have of lines along the rows or the columns of the atlas that are at equal distances in their
+    /// chart, and of the ends of what these divide. None where texels are wider than lines may be (`width`, metres).
+    pub fn regular(&self, width: f32, progress: &dyn Progress) -> Result<Vec<Option<Covered>>> {
         let mut lines = vec![None; self.ln.len()];
         if self.texel > width {
             return Ok(lines);
         }
         let away = (width / self.texel).round().max(2.0) as usize;
         let least = (SEEN / self.texel).max(1.0);
-        let pieces = self.pieces();
-        for (axis, across) in AXES.iter().enumerate() {
-            let contrast = self.contrast(*across, away);
-            let of_piece = |piece: &Piece| {
-                let first = piece.iter().map(|(_, at)| at[axis]).min().unwrap_or(0);
-                let row = |at: &[i32; 2]| (at[axis] - first) as usize;
-                let profile = Profile::of(piece.iter().map(|(t, at)| (row(at), contrast[*t as usize])), least);
-                let Some((line, comb)) = profile.lines(away as f32, progress)? else { return Ok(None) };
-                let on = piece.iter().filter(|(_, at)| comb.distance(row(at) as f32) < comb.half_width);
-                Ok(Some((line, on.map(|(t, _)| *t).collect::<Vec<u32>>())))
+        let contrast = AXES.map(|across| self.contrast(across, away));
+        let of_piece = |piece: &Piece| {
+            let chart = Chart { piece, contrast: &contrast };
+            let regular = match [0, 1].map(|axis| chart.regular(axis, (away as f32, least), progress)) {
+                [Ok(rows), Ok(columns)] => [rows, columns],
+                [Err(e), _] | [_, Err(e)] => return Err(e),
             };
-            let found: Vec<_> = pieces.par_iter().map(of_piece).collect::<Result<_>>()?;
-            for (line, texels) in found.into_iter().flatten() {
-                texels.into_iter().for_each(|t| lines[t as usize] = Some(line));
+            let mut on: Vec<(u32, Covered)> = Vec::new();
+            for (axis, found) in regular.iter().enumerate() {
+                found.iter().for_each(|found| on.extend(chart.on(axis, found)));
             }
+            // Lines one way only divide boards, which end somewhere.
+            match &regular {
+                [Some(found), None] => on.extend(chart.ends(0, found, progress)?),
+                [None, Some(found)] => on.extend(chart.ends(1, found, progress)?),
+                _ => {}
+            }
+            Ok(on)
+        };
+        for (t, covered) in self.pieces().par_iter().map(of_piece).collect::<Result<Vec<_>>>()?.into_iter().flatten() {
+            let most: &mut Option<Covered> = &mut lines[t as usize];
+            *most = (*most).max(Some(covered));
         }
         Ok(lines)
     }
@@ -87,6 +95,69 @@ impl Paint<'_> {
     }
 }
 
+/// A piece and, for both axes, the contrasts of all texels ([`Paint::contrast`]).
+struct Chart<'a> {
+    piece: &'a Piece,
+    contrast: &'a [Vec<[f32; 3]>; 2],
+}
+
+impl Chart<'_> {
+    /// The texels, with the row that each lies in along an axis, from 0.
+    fn rows(&self, axis: usize) -> impl Iterator<Item = (u32, usize)> {
+        let first = self.piece.iter().map(|(_, at)| at[axis]).min().unwrap_or(0);
+        self.piece.iter().map(move |(t, at)| (*t, (at[axis] - first) as usize))
+    }
+
+    /// The lines at equal distances along an axis, of contrasts with what is `away` rows, where rows of fewer than `least` texels say nothing.
+    fn regular(&self, axis: usize, (away, least): (f32, f32), progress: &dyn Progress) -> Result<Option<Regular>> {
+        let texels = self.rows(axis).map(|(t, row)| (row, self.contrast[axis][t as usize]));
+        Profile::of(texels, least).lines(away, progress)
+    }
+
+    /// What texels have of these lines.
+    fn on(&self, axis: usize, found: &Regular) -> impl Iterator<Item = (u32, Covered)> {
+        let Regular { line, comb, .. } = *found;
+        let covered = move |row: usize| Covered::of(line, comb.distance(row as f32), comb.half_width);
+        self.rows(axis).filter_map(move |(t, row)| Some((t, covered(row)?)))
+    }
+
+    /// What texels have of the ends of what these lines divide, which are as wide as they are.
+    fn ends(&self, axis: usize, found: &Regular, progress: &dyn Progress) -> Result<Vec<(u32, Covered)>> {
+        let Regular { line, comb, contrast } = *found;
+        let sign = if line == Line::Darker { -1.0 } else { 1.0 };
+        let laid = || {
+            self.rows(axis)
+                .zip(self.rows(1 - axis))
+                .filter_map(|((t, row), (_, column))| Some((t, comb.strip(row as f32)?, column)))
+        };
+        let mut strips: Vec<Vec<[f32; 2]>> = Vec::new();
+        for (t, strip, column) in laid() {
+            strips.resize_with(strips.len().max(strip + 1), Vec::new);
+            let columns = &mut strips[strip];
+            columns.resize(columns.len().max(column + 1), [0.0; 2]);
+            let [contrast, _, weight] = self.contrast[1 - axis][t as usize];
+            columns[column][0] += sign * contrast * weight;
+            columns[column][1] += weight;
+        }
+        let least = 0.5 * (comb.period - 2.0 * comb.half_width);
+        let strips: Vec<Strip> = strips.iter().map(|columns| Strip::of(columns, least)).collect();
+        let Some(ends) = Ends::find(&strips, comb.period, contrast, progress)? else { return Ok(Vec::new()) };
+        let covered = |strip: usize, column: usize| {
+            Some(Covered::of(line, ends.distance(strip, column as f32), comb.half_width)?.at_end())
+        };
+        Ok(laid().filter_map(|(t, strip, column)| Some((t, covered(strip, column)?))).collect())
+    }
+}
+
+/// Lines at equal distances that are believed.
+#[derive(Clone, Copy, Debug)]
+struct Regular {
+    line: Line,
+    comb: Comb,
+    /// How much they stand out, ln a.
+    contrast: f32,
+}
+
 /// Lines at equal distances, all in rows.
 #[derive(Clone, Copy, Debug)]
 struct Comb {
@@ -99,6 +170,11 @@ impl Comb {
     /// Where its lines are, up to the row `last`.
     fn lines(self, last: f32) -> impl Iterator<Item = f32> {
         (0..).map(move |k| self.phase + k as f32 * self.period).take_while(move |row| *row <= last)
+    }
+
+    /// Number of the strip between two lines that a row lies in; `None` on a line.
+    fn strip(self, row: f32) -> Option<usize> {
+        (self.distance(row) >= self.half_width).then(|| ((row - self.phase) / self.period + 1.0).max(0.0) as usize)
     }
 
     /// How far a row is from the nearest line.
@@ -157,13 +233,16 @@ impl Profile {
     }
 
     /// The lines that are believed, of contrasts with what is `away` rows.
-    fn lines(self, away: f32, progress: &dyn Progress) -> Result<Option<(Line, Comb)>> {
+    fn lines(self, away: f32, progress: &dyn Progress) -> Result<Option<Regular>> {
         let best = self.best(progress)?;
         let brighter = Self(self.0.iter().map(|[c, w]| [-c, *w]).collect());
         let found = [(Line::Darker, self), (Line::Brighter, brighter)].into_iter().zip(best);
-        let found = found.filter_map(|((line, rows), best)| Some((line, rows.believed(best?, away)?)));
-        let found = found.max_by(|a, b| a.1.0.total_cmp(&b.1.0));
-        Ok(found.map(|(line, (_, comb))| (line, comb)))
+        let found = found.filter_map(|((line, rows), best)| {
+            let (evidence, comb) = rows.believed(best?, away)?;
+            let [contrast, _] = rows.mean(comb);
+            Some((evidence, Regular { line, comb, contrast }))
+        });
+        Ok(found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found))
     }
 
     /// By how many standard errors lines stand out, and they with the width that they have; if that is enough.
@@ -226,26 +305,53 @@ mod tests {
     const TEXEL: f32 = 0.01;
     const WIDTH: f32 = 0.03;
 
-    /// A floor whose joints, columns, are darker by `contrast` than boards that are up to `uneven` brighter or darker, under noise of ±0.3.
-    /// A third of it is not seen. Of all texels: the share of joints that is found, and the share of what is found that is one.
-    fn found(is_joint: impl Fn(usize) -> bool, uneven: f32, contrast: f32) -> [f32; 2] {
+    /// A floor whose joints are darker by `contrast` than boards that are up to `uneven` brighter or darker, under noise of ±0.3. A third of
+    /// it is not seen. Of all texels: the share of joints that is found, and the share of what is found that is one. Columns and rows tell
+    /// which board a texel is of, and whether it is on a joint.
+    fn found_of(
+        board: impl Fn([usize; 2]) -> usize,
+        is_joint: impl Fn([usize; 2]) -> bool,
+        uneven: f32,
+        contrast: f32,
+    ) -> [f32; 2] {
         let [columns, rows] = EDGES;
+        let at = |t: usize| [t % columns, t / columns];
         let random = |a: usize, b: u32| hash2(a as u32, b) as f32 / u32::MAX as f32 - 0.5;
-        let board = |column: usize| (0..=column).filter(|c| is_joint(*c)).count();
         let of_texel = |t: usize| {
-            let paint = 2.0 * uneven * random(board(t % columns), 1) + 0.6 * random(t, 2);
-            paint - if is_joint(t % columns) { contrast } else { 0.0 }
+            let paint = 2.0 * uneven * random(board(at(t)), 1) + 0.6 * random(t, 2);
+            paint - if is_joint(at(t)) { contrast } else { 0.0 }
         };
         let ln: Vec<f32> = (0..columns * rows).map(of_texel).collect();
         let is_seen: Vec<bool> = (0..ln.len()).map(|t| t % columns < 64).collect();
         let (adjacency, segment) = (grid(), vec![0; ln.len()]);
         let paint = Paint { ln: &ln, is_seen: &is_seen, segment: &segment, adjacency: &adjacency, texel: TEXEL };
         let lines = paint.regular(WIDTH, &Silent).unwrap();
-        let dark = |t: usize| lines[t] == Some(Line::Darker);
-        assert!((0..ln.len()).all(|t| lines[t].is_none() || dark(t)));
+        let dark = |t: usize| lines[t].is_some_and(|covered| covered.line == Line::Darker && covered.share() >= 0.5);
+        assert!((0..ln.len()).all(|t| lines[t].is_none_or(|covered| covered.line == Line::Darker)));
         let count = |what: &dyn Fn(usize) -> bool| (0..ln.len()).filter(|t| what(*t)).count() as f32;
-        let both = count(&|t| dark(t) && is_joint(t % columns));
-        [both / count(&|t| is_joint(t % columns)), both / count(&dark).max(1.0)]
+        let both = count(&|t| dark(t) && is_joint(at(t)));
+        [both / count(&|t| is_joint(at(t))), both / count(&dark).max(1.0)]
+    }
+
+    /// The same, of boards as long as the floor, with joints along columns.
+    fn found(is_joint: impl Fn(usize) -> bool, uneven: f32, contrast: f32) -> [f32; 2] {
+        let board = |[column, _]: [usize; 2]| (0..=column).filter(|c| is_joint(*c)).count();
+        found_of(board, |[column, _]| is_joint(column), uneven, contrast)
+    }
+
+    #[test]
+    fn boards_end_where_their_strip_says_if_they_are_of_one_length() {
+        const LENGTH: usize = 53;
+        let beside = |[column, _]: [usize; 2]| column % 12 == 5;
+        let strip = |column: usize| (column + 6) / 12;
+        let along = |[column, row]: [usize; 2]| row + strip(column) * 31 % LENGTH;
+        let board = |at: [usize; 2]| 1000 * strip(at[0]) + along(at) / LENGTH;
+        let ends = |at: [usize; 2]| along(at) % LENGTH == 0;
+        let [recall, precision] = found_of(board, |at| beside(at) || ends(at), 0.1, 0.25);
+        assert!(recall > 0.75 && precision > 0.9, "{recall} {precision}");
+        // Negative control: of boards that do not end, no ends are found.
+        let [_, precision] = found_of(board, beside, 0.0, 0.25);
+        assert!(precision > 0.98, "{precision}");
     }
 
     #[test]

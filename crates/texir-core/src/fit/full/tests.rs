@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Parent, settle};
-use super::joints::{self, Joint, Judges, Lines};
+use super::joints::{self, Judges, Lines};
 use super::observations::Observations;
 use super::scan::{Evidence, cost, minimum, scan};
 use super::share::Share;
@@ -335,9 +335,9 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let judges = Judges { segment: &vec![0; pixels], say: &vec![1.0; pixels], half: &half };
         let lines = Lines::find(&problem, &albedo, texel, &roughness.joints, &Silent).unwrap();
         let joints = joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap();
-        (0..surface.len()).map(|t| joints.at(t)).collect::<Vec<_>>()
+        (0..surface.len()).map(|t| joints.at(t).map(|(joint, share)| joint.on(surface[t], share))).collect::<Vec<_>>()
     };
-    let on = |joints: &[Option<Joint>]| -> Vec<f32> { joints.iter().flatten().map(|joint| joint.on(0.15)).collect() };
+    let on = |joints: &[Option<f32>]| -> Vec<f32> { joints.iter().flatten().copied().collect() };
     // Texels are 0.25 m wide. The diagonal's touch at their corners.
     let column = |t: usize| t % (2 * FLOOR) == 3;
     let diagonal = |t: usize| t % (2 * FLOOR) == t / (2 * FLOOR);
