@@ -112,7 +112,7 @@ impl Lines {
         let covered = |t: usize| -> Option<Covered> {
             let kind = |line: Line| enough.iter().position(|enough| enough[group(segment[t], line)]);
             let by = |line: Line| kinds[kind(line)?][t].filter(|covered| covered.line == line);
-            [Line::Darker, Line::Brighter].into_iter().find_map(by)
+            [Line::Darker, Line::Brighter].into_iter().filter_map(by).reduce(Covered::or)
         };
         let covered = (0..segment.len()).into_par_iter().map(covered).collect();
         Ok(Self { covered, regular: enough[0].clone() })
@@ -129,6 +129,11 @@ impl Lines {
         let (line, share) =
             if shares[0] >= shares[1] { (Line::Darker, shares[0]) } else { (Line::Brighter, shares[1]) };
         (segment != NONE && share > 0.0).then(|| (group(segment, line), share))
+    }
+
+    /// The group that a pixel of `segment` has to judge, and its share.
+    fn judged(&self, rows: &Rows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
+        self.seen(rows, segment, pixel).filter(|(_, share)| *share >= LEAST && self.ends(rows, pixel) < END)
     }
 
     /// The share of a pixel that ends of boards have.
@@ -239,9 +244,8 @@ fn scan(
     }
     let sigma = problem.noise(settings.image_noise);
     let sees = |p: usize| {
-        let seen = lines.seen(&problem.seen.rows, judges.segment[p], p).filter(|(_, share)| *share >= LEAST);
-        let seen = seen.filter(|_| lines.ends(&problem.seen.rows, p) < END);
-        seen.map_or((NONE, 0.0), |(group, share)| (group as u32, share))
+        let judged = lines.judged(&problem.seen.rows, judges.segment[p], p);
+        judged.map_or((NONE, 0.0), |(group, share)| (group as u32, share))
     };
     let sees: Vec<(u32, f32)> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
     let before = problem.shown(albedo);
@@ -336,6 +340,23 @@ mod tests {
         assert_eq!(between(k, |_| 1.0), node(k));
     }
 
+    /// A pixel that sees a surface, and of the texel after it a share.
+    fn pixel(surface: u32, joint: f32) -> Vec<Share> {
+        let taps = vec![Tap { texel: surface, weight: 1.0 - joint }, Tap { texel: surface + 1, weight: joint }];
+        Share::of([taps.clone(), taps.clone(), taps.clone(), taps])
+    }
+
+    #[test]
+    fn joints_are_judged_by_who_sees_much_of_them_and_no_end() {
+        let dark = Covered::wholly(Line::Darker);
+        let half = Covered::of(Line::Darker, 0.5, 0.5);
+        let lines = Lines { covered: vec![None, Some(dark), Some(dark.at_end()), None, half], regular: vec![true; 2] };
+        let rows = Rows::from_lists([pixel(0, 0.3), pixel(0, 0.1), pixel(1, 0.1), pixel(1, 0.02), pixel(3, 0.6)]);
+        let judged = [0, 1, 2, 3, 4].map(|p| lines.judged(&rows, 0, p).map(|(_, share)| (100.0 * share).round()));
+        assert_eq!(judged, [Some(30.0), None, None, Some(100.0), Some(30.0)]);
+        assert_eq!(lines.judged(&rows, NONE, 0), None);
+    }
+
     #[test]
     fn what_pixels_see_of_regular_joints_is_not_their_surfaces() {
         // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5, may be paint.
@@ -344,10 +365,6 @@ mod tests {
                 .map(|on| on.then_some(Covered::wholly(Line::Darker)))
                 .to_vec(),
             regular: vec![true, false, true, false, false, false],
-        };
-        let pixel = |surface: u32, joint: f32| {
-            let taps = vec![Tap { texel: surface, weight: 1.0 - joint }, Tap { texel: surface + 1, weight: joint }];
-            Share::of([taps.clone(), taps.clone(), taps.clone(), taps])
         };
         let pixels = [(0, 0.5), (0, 0.1), (0, 0.0), (2, 0.3), (2, 0.4), (4, 0.9), (0, 0.3)];
         let rows = Rows::from_lists(pixels.map(|(surface, joint)| pixel(surface, joint)));

@@ -8,7 +8,7 @@ use crate::fit::adjacency::{Adjacency, NONE};
 use crate::fit::settings::{JointSettings, Straight};
 
 /// What a line is beside what is around it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
     /// Darker.
     Darker,
@@ -16,8 +16,8 @@ pub enum Line {
     Brighter,
 }
 
-/// A texel on a line, or in part. Greater is more of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// A texel on a line, or in part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Covered {
     /// In 255ths, not 0.
     share: u8,
@@ -38,6 +38,12 @@ impl Covered {
         let share = (half_width + 0.5 - distance).clamp(0.0, 1.0);
         let share = (share * f32::from(u8::MAX)).round() as u8;
         (share > 0).then_some(Self { share, line, is_end: false })
+    }
+
+    /// What covers more of a texel; as much, a darker line.
+    pub fn or(self, other: Self) -> Self {
+        let by = |covered: &Self| (covered.share, covered.line == Line::Darker);
+        if by(&other) > by(&self) { other } else { self }
     }
 
     /// By the end of a board.

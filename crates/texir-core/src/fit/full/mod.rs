@@ -10,6 +10,7 @@ pub mod bands;
 pub mod blocks;
 pub mod borders;
 pub mod colours;
+mod comb;
 pub mod confidence;
 mod ends;
 pub mod hidden;
