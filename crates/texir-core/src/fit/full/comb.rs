@@ -82,7 +82,7 @@ fn more(a: [Option<StandsOut>; 2], b: [Option<StandsOut>; 2]) -> [Option<StandsO
 pub struct Profile(Vec<[f32; 2]>);
 
 impl Profile {
-    /// By the row and the contrast of each texel ([`Paint::contrast`](super::lines::Paint::contrast)); rows of fewer than `least` say nothing.
+    /// By the row and the contrast of each texel (`Paint::contrast`); rows of fewer than `least` say nothing.
     pub fn of(texels: impl Iterator<Item = (usize, [f32; 3])>, least: f32) -> Self {
         let mut rows: Vec<[f32; 2]> = Vec::new();
         for (row, [contrast, _, weight]) in texels {

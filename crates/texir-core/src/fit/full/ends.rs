@@ -82,7 +82,7 @@ pub struct Ends {
 
 impl Ends {
     /// Those of one length, at least `shortest` columns, that `strips` show, if their contrast and width are those of the lines between
-    /// the strips; none if no length stands out of the others. For S strips of C columns, [`COLUMNS`] at most, that is 4 C² S steps for
+    /// the strips; none if no length stands out of the others. For S strips of C columns, 2,048 at most, that is 4 C² S steps for
     /// every factor of e between the lengths.
     pub fn find(
         strips: &[Strip],
