@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::progress::Progress;
+use crate::stats::median;
 
 /// Shifts that are tried per column while the length is sought; lengths are so close that the last end is as exact.
 const SEARCHED: f32 = 2.0;
@@ -60,13 +61,10 @@ impl Strip {
     /// ln of the likelihood that each column is an end over that it is none, where ends have a `contrast`. Noise is told by the median
     /// absolute deviation.
     fn says(&self, contrast: f32) -> Vec<f32> {
-        let middle = |mut values: Vec<f32>| {
-            let half = values.len() / 2;
-            if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(half, f32::total_cmp).1 }
-        };
-        let seen: Vec<f32> = self.0.iter().flatten().copied().collect();
-        let median = middle(seen.clone());
-        let noise = (1.4826 * middle(seen.iter().map(|c| (c - median).abs()).collect())).max(LEAST_NOISE);
+        let mut seen: Vec<f32> = self.0.iter().flatten().copied().collect();
+        let middle = median(&mut seen).unwrap_or(0.0);
+        seen.iter_mut().for_each(|c| *c = (*c - middle).abs());
+        let noise = (1.4826 * median(&mut seen).unwrap_or(0.0)).max(LEAST_NOISE);
         let of_column = |c: f32| ((c * contrast - 0.5 * contrast * contrast) / (noise * noise)).clamp(-MOST, MOST);
         self.0.iter().map(|column| column.map_or(0.0, of_column)).collect()
     }

@@ -295,10 +295,9 @@ fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joi
     if both.pixels == 0.0 {
         return None;
     }
-    let best = |said: &Tally| {
-        let by = |k: &usize| said.ln_mean(said.cost[*k]) + settings.pull * (2.0 * (node(*k) - parent)).powi(2);
-        tried().min_by(|a, b| by(a).total_cmp(&by(b)))
-    };
+    let against =
+        |said: &Tally, k: usize| said.ln_mean(said.cost[k]) + settings.pull * (2.0 * (node(k) - parent)).powi(2);
+    let best = |said: &Tally| tried().min_by(|a, b| against(said, *a).total_cmp(&against(said, *b)));
     // Each half judges what the other one asks for.
     let judged = |by: &Said, other: &Said| match best(&other.other) {
         Some(k) if other.other.pixels > 0.0 => by.other.cost[k],
@@ -308,8 +307,8 @@ fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joi
     let gain = both.ln_mean(first.same + second.same) - both.ln_mean(judged(first, second) + judged(second, first));
     let pixels = both.pixels as f32;
     let believed = half_at(settings.agreement, gain * pixels / (pixels + settings.half_pixels));
-    let at = |k: usize| both.ln_mean(both.cost[k]) + settings.pull * (2.0 * (node(k) - parent)).powi(2);
-    best(&both).filter(|_| believed > 0.0).map(|k| Joint { roughness: between(k, at), believed })
+    let least = best(&both).filter(|_| believed > 0.0)?;
+    Some(Joint { roughness: between(least, |k| against(&both, k)), believed })
 }
 
 #[cfg(test)]
