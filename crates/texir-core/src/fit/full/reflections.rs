@@ -16,8 +16,8 @@ use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{Curve, NODES, PackedCurve, node};
 
-/// Blocks to either side that are asked.
-const REACH: usize = 3;
+/// How far around a block others are asked, radians: 4.2°.
+const REACH: f32 = 0.074;
 /// The widest kernel's σ, as a share of what is asked: what is beyond counts little.
 const WIDEST: f32 = 0.6;
 /// Weights below this count for nothing.
@@ -69,20 +69,25 @@ pub fn share(curves: &[Curve], blocks: &Blocks, mirrors: &[Mirror], angle: f32, 
     if share == 0.0 {
         return curves.iter().map(PackedCurve::from).collect();
     }
-    let widest = WIDEST * REACH as f32 * angle;
+    let reach = (REACH / angle).round().max(1.0) as usize;
+    let widest = WIDEST * reach as f32 * angle;
     let sigma: [f32; NODES] = std::array::from_fn(|k| (share * node(k) * node(k)).min(widest));
     let radiance: Vec<[[f32; 3]; NODES]> =
         curves.par_iter().map(|curve| std::array::from_fn(|k| curve.at_node(k))).collect();
     let mean = |block: usize| {
         let mut sums = radiance[block].map(|[r, g, b]| [r, g, b, 1.0]);
-        for other in blocks.around(block, REACH).filter(|&other| other != block) {
+        for other in blocks.around(block, reach).filter(|&other| other != block) {
             if !mirrors[block].patch.like(&mirrors[other].patch) {
                 continue;
             }
             let turn = mirrors[block].turn(&mirrors[other]);
-            // From rough to smooth kernels get narrower.
+            // From rough to smooth kernels get narrower, below those that are all of the widest.
+            let (mut of, mut weight) = (0.0, 0.0);
             for k in (0..NODES).rev() {
-                let weight = (-0.5 * (turn / sigma[k]).powi(2)).exp();
+                if sigma[k] != of {
+                    of = sigma[k];
+                    weight = (-0.5 * (turn / of).powi(2)).exp();
+                }
                 if weight < NEGLIGIBLE {
                     break;
                 }
