@@ -68,6 +68,6 @@ fn d_ln_distribution_sampled(u: f32, r: f32) -> f32 {
 }
 
 // ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)].
-fn d_ln_masking(nl: f32, nv: f32, r: f32) -> f32 {
+fn d_ln_schlick(nl: f32, nv: f32, r: f32) -> f32 {
     return -(r + 1.0) * 0.25 * ((1.0 - nl) * schlick(nl, r) + (1.0 - nv) * schlick(nv, r));
 }

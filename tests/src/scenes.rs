@@ -143,7 +143,7 @@ pub fn smooth_light(size: usize) -> Rgb {
 pub fn lights(backend: &mut dyn Backend, radiance: &Rgb) -> Lights {
     let atlas = Atlas::new(backend, radiance.width, radiance.height)
         .unwrap_or_else(|e| panic!("the scene has no texel map: {e}"));
-    Lights::find(backend.scene(), &atlas, radiance)
+    Lights::find(backend.scene(), &atlas, radiance).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// A panorama and a pinhole in [`furnished_room`], with poses that are not aligned to it.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, ValueEnum};
 use serde::{Deserialize, Serialize};
-use texir_core::fit::FitSettings;
+use texir_core::fit::{FitSettings, Mode};
 use texir_core::text_file::read_text;
 use toml::{Table, Value};
 
@@ -40,7 +40,7 @@ pub struct Common {
     /// Take settings from a TOML file, such as the settings.toml of an earlier fit
     #[arg(long, global = true, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Change one setting of the file, such as fit.stage_two.enabled=false
+    /// Change one setting of the file, such as fit.full.alternations=0
     #[arg(long = "set", global = true, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Say more
@@ -78,6 +78,9 @@ pub struct Config {
     pub adapter: Option<String>,
     /// The fit, and the seed of everything random.
     pub fit: FitSettings,
+    /// What was typed after `--set`.
+    #[serde(skip)]
+    set: Vec<String>,
 }
 
 impl Config {
@@ -103,12 +106,29 @@ impl Config {
             backend: common.backend.unwrap_or(file.backend),
             adapter: common.adapter.clone().or(file.adapter),
             fit: FitSettings { seed, ..file.fit },
+            set: common.set.clone(),
         };
         if let (BackendChoice::Cpu, Some(adapter)) = (config.backend, &config.adapter) {
             return Err(Failure::new(format!("adapter \"{adapter}\" is a GPU's, but the backend is `cpu`"))
                 .help("leave out --adapter, or use --backend gpu"));
         }
         Ok(config)
+    }
+
+    /// Errors where a setting was typed that the fit's mode does not read. (A file may hold those of both.)
+    pub fn check_set(&self) -> Result<(), Failure> {
+        let (other, name) = match self.fit.mode {
+            Mode::Full => (Mode::Paper, "paper"),
+            Mode::Paper => (Mode::Full, "full"),
+        };
+        let is_idle = |assignment: &&String| {
+            let field = assignment.trim_start().strip_prefix("fit.").and_then(|key| key.split(['.', '=', ' ']).next());
+            field.is_some_and(|field| other.own_settings().contains(&field))
+        };
+        self.set.iter().find(is_idle).map_or(Ok(()), |idle| {
+            Err(Failure::new(format!("--set {idle}: only --mode {name} reads this setting"))
+                .help(format!("leave it out, or add --mode {name}")))
+        })
     }
 }
 
@@ -167,6 +187,28 @@ mod tests {
         );
         assert!(Config::resolve(&common(&["--set", "fit.mode=\"paper\""])).is_ok());
         assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
+    }
+
+    #[test]
+    fn settings_of_the_other_mode_are_refused() {
+        let checked = |mode: &str, set: &str| {
+            Config::resolve(&common(&["--set", &format!("fit.mode=\"{mode}\""), "--set", set])).unwrap().check_set()
+        };
+        for (mode, other, set) in
+            [("full", "paper", "fit.stage_two.enabled=false"), ("paper", "full", "fit.full.alternations = 3")]
+        {
+            let error = format!("{:?}", checked(mode, set).unwrap_err());
+            assert!(error.contains(set) && error.contains(&format!("--mode {other}")), "{error}");
+            assert!(checked(other, set).is_ok() && checked(mode, "fit.emitter_ratio = 3.0").is_ok());
+        }
+    }
+
+    #[test]
+    fn own_settings_are_settings() {
+        let all = Table::try_from(FitSettings::default()).unwrap();
+        for mode in [Mode::Full, Mode::Paper] {
+            mode.own_settings().iter().for_each(|name| assert!(all.contains_key(*name), "{name}"));
+        }
     }
 
     #[test]

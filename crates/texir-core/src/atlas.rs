@@ -80,15 +80,12 @@ impl Atlas {
         raster
     }
 
-    /// [`Atlas::scatter`] of the values flagged `known`, then `rings` times the empty texels next to filled ones take
-    /// their first filled neighbour's value, so that lookups just outside find what is just inside.
+    /// [`Atlas::scatter`], then `rings` times the texels that are not `known`, those outside the charts among them, take the value of their
+    /// first neighbour that is or has taken one, so that lookups just outside find what is just inside.
     pub fn scatter_padded<T: Copy>(&self, values: &[T], known: &[bool], empty: T, rings: usize) -> Raster<T> {
-        let mut raster = Raster::filled(self.width, self.height, empty);
+        let mut raster = self.scatter(values, empty);
         let mut filled = vec![false; self.width * self.height];
-        for ((&texel, &value), _) in self.texels.iter().zip(values).zip(known).filter(|(_, known)| **known) {
-            raster.data[texel as usize] = value;
-            filled[texel as usize] = true;
-        }
+        self.texels.iter().zip(known).for_each(|(&texel, &known)| filled[texel as usize] = known);
         pad(&mut raster, &mut filled, rings);
         raster
     }

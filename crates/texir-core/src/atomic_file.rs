@@ -1,9 +1,12 @@
-//! Output files that are either complete or absent: written beside their destination, then renamed onto it.
+//! Output files and folders that are either complete or absent: written beside their destination, then renamed onto it.
 
+use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+
+use tempfile::TempDir;
 
 use crate::error::{Error, Result};
 
@@ -37,6 +40,55 @@ pub fn write_atomic<E: Display>(
     drop(sink);
     temporary.persist(&target).map_err(|e| failed(&e.error))?;
     Ok(())
+}
+
+/// A folder that fills unseen, and goes unless what is in it is moved to its target: within that where it exists, which may be another
+/// disk than its parent, else beside it.
+#[derive(Debug)]
+pub struct Stage {
+    folder: TempDir,
+    target: PathBuf,
+}
+
+impl Stage {
+    /// Prepares to fill `target`, which may exist; missing folders above it are made.
+    pub fn new(target: &Path) -> Result<Self> {
+        if target.exists() && !target.is_dir() {
+            return Err(Error::file(target, "is a file; expected a folder for the outputs, or a name for a new one"));
+        }
+        let (place, side) = if target.is_dir() { (target, "in") } else { (folder_of(target), "beside") };
+        let failed = |e| Error::file(target, format!("cannot be written {side}: {e}"));
+        std::fs::create_dir_all(place).map_err(failed)?;
+        let folder = tempfile::Builder::new().prefix(".texir-").tempdir_in(place).map_err(failed)?;
+        Ok(Self { folder, target: target.to_owned() })
+    }
+
+    /// The folder to write to.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Where that will be moved to.
+    pub fn target(&self) -> &Path {
+        &self.target
+    }
+
+    /// Moves a file or folder to the target, in place of a file of its name.
+    pub fn place(&self, name: impl AsRef<Path>) -> Result<()> {
+        std::fs::create_dir_all(&self.target).map_err(|e| Error::cannot_write(&self.target, e))?;
+        let to = self.target.join(&name);
+        std::fs::rename(self.folder().join(name), &to).map_err(|e| Error::cannot_write(&to, e))
+    }
+
+    /// Moves all to the target, which holds none of it; the file `last` after all others.
+    pub fn place_all(self, last: &str) -> Result<()> {
+        let failed = |e| Error::cannot_write(&self.target, e);
+        let entries = std::fs::read_dir(self.folder()).map_err(failed)?;
+        let names = entries.map(|entry| Ok(entry?.file_name())).collect::<std::io::Result<Vec<OsString>>>();
+        let mut names = names.map_err(failed)?;
+        names.sort_by_key(|name| name == OsStr::new(last));
+        names.iter().try_for_each(|name| self.place(name))
+    }
 }
 
 /// What symbolic links at `path` lead to in the end; `None` where they lead in circles.

@@ -321,7 +321,8 @@ pub trait Backend {
     ) -> Result<Vec<[f32; 3]>>;
 
     /// Denoise: the mean of two gathers of irradiance at every point without most of its noise
-    /// ([`crate::denoise`]). What is further than some twenty-five texels from a point does not change a bit of its result.
+    /// ([`crate::denoise`]). What is further than some twenty-five texels from a point does not change a bit of its result,
+    /// unless so much lies around some point that a GPU leaves all to the processor, which rounds otherwise (65,000 points).
     fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.

@@ -3,6 +3,28 @@
 //!
 //! Directions are unit and point away from the surface; `n·l` and so on are clamped to [0, 1] by the caller. r is the
 //! perceptual roughness, α = r². No function here includes the cosine n·l unless it says so.
+//!
+//! The whole of it, with Lambert's diffuse model:
+//!
+//! ```
+//! use texir_core::brdf::{Cosines, Masking, f0, fresnel_weight, specular_over_fresnel};
+//! use texir_core::real::V3;
+//!
+//! /// f = a/π (1−m) + F D G / (4 nl nv), 1/sr, without the cosine n·l.
+//! fn brdf(albedo: V3<f32>, roughness: f32, metallic: f32, [n, v, l]: [V3<f32>; 3]) -> V3<f32> {
+//!     let c = Cosines::new(n, v, l);
+//!     let x = fresnel_weight(c.vh);
+//!     let fresnel = f0(albedo, metallic).map(|f0| f0 * (1.0 - x) + x);
+//!     let diffuse = albedo * ((1.0 - metallic) / std::f32::consts::PI);
+//!     diffuse + fresnel * specular_over_fresnel(Masking::Smith, &c, roughness)
+//! }
+//!
+//! let up = V3([0.0, 0.0, 1.0]);
+//! let mirrored = brdf(V3([0.5; 3]), 0.2, 0.0, [up; 3]);
+//! // At normal incidence F = 0.04, D = 1/(π α²) and G / (4 nl nv) = 1/4.
+//! let expected = (0.5 + 0.04 / (4.0 * 0.2f32.powi(4))) / std::f32::consts::PI;
+//! assert!((mirrored.0[0] / expected - 1.0).abs() < 5e-3);
+//! ```
 
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +48,17 @@ pub struct Cosines<R> {
     pub nh: R,
     /// v·h
     pub vh: R,
+}
+
+impl<R: Real> Cosines<R> {
+    /// Of a normal and the directions to the camera and to the light, cut to [0, 1].
+    pub fn new(normal: V3<R>, view: V3<R>, light: V3<R>) -> Self {
+        let half = (view + light).normalize();
+        let cut = |cosine: R| cosine.max(R::of(0.0)).min(R::of(1.0));
+        let [nl, nv, nh, vh] =
+            [(normal, light), (normal, view), (normal, half), (view, half)].map(|(a, b)| cut(a.dot(b)));
+        Self { nl, nv, nh, vh }
+    }
 }
 
 /// D = α² / (π (nh²(α²−1)+1)²): GGX distribution of half-vectors, per solid angle.
@@ -123,8 +156,8 @@ pub fn d_ln_distribution_sampled<R: Real>(u: R, r: R) -> R {
     R::of(4.0) * (R::of(2.0) * u - R::of(1.0)) / r
 }
 
-/// ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)].
-pub fn d_ln_masking<R: Real>(nl: R, nv: R, r: R) -> R {
+/// ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)] of [`schlick`], which paper mode descends by.
+pub fn d_ln_schlick<R: Real>(nl: R, nv: R, r: R) -> R {
     let one = R::of(1.0);
     -(r + one) * R::of(0.25) * ((one - nl) * schlick(nl, r) + (one - nv) * schlick(nv, r))
 }
@@ -145,8 +178,7 @@ mod tests {
     use crate::real::Dual;
 
     fn cosines<R: Real>(v: V3<R>, l: V3<R>) -> Cosines<R> {
-        let h = (v + l).normalize();
-        Cosines { nl: l.0[2], nv: v.0[2], nh: h.0[2], vh: v.dot(h) }
+        Cosines::new(V3([R::of(0.0), R::of(0.0), R::of(1.0)]), v, l)
     }
 
     fn directions() -> Vec<(V3<f64>, V3<f64>)> {
@@ -167,7 +199,7 @@ mod tests {
                 let c = cosines(v, l);
                 let wide = Cosines { nl: Dual::of(c.nl), nv: Dual::of(c.nv), nh: Dual::of(c.nh), vh: Dual::of(c.vh) };
                 let f = specular_over_fresnel(Masking::Schlick, &wide, Dual::variable(r));
-                let psi = d_ln_distribution(c.nh, r) + d_ln_masking(c.nl, c.nv, r);
+                let psi = d_ln_distribution(c.nh, r) + d_ln_schlick(c.nl, c.nv, r);
                 assert!((psi - f.du / f.re).abs() < 1e-9 * (1.0 + psi.abs()), "r {r}: {psi} against {}", f.du / f.re);
                 // Negative control: without the masking term the derivative is wrong.
                 assert!((d_ln_distribution(c.nh, r) - f.du / f.re).abs() > 1e-4);

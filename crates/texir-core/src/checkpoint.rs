@@ -4,9 +4,10 @@
 //! or a power cut has changed does not have the sum that it was written with, and is computed again.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use bytemuck::Pod;
 use half::f16;
@@ -21,6 +22,8 @@ use crate::specular_table::Curve;
 
 /// Names the computation that the steps in a folder belong to.
 const IDENTITY: &str = "identity.txt";
+/// Locked by the run that keeps steps there.
+const LOCK: &str = "lock";
 /// Where a step's file holds the sum of its arrays.
 const SUM: &str = "sum";
 /// Ending of a step's file.
@@ -32,6 +35,8 @@ pub struct Checkpoints {
     folder: Option<PathBuf>,
     /// What the names of steps begin with.
     prefix: String,
+    /// Held as long as one of these lives.
+    _lock: Option<Arc<File>>,
 }
 
 /// What arrays hold.
@@ -75,15 +80,17 @@ impl Step {
 impl Checkpoints {
     /// Keeps nothing.
     pub fn none() -> Self {
-        Self { folder: None, prefix: String::new() }
+        Self { folder: None, prefix: String::new(), _lock: None }
     }
 
     /// Keeps steps in `folder`, and finds those that an earlier run left there; steps of a computation of another
-    /// `identity` are removed, with a warning.
+    /// `identity` are removed, with a warning. Errors while another run keeps its steps there: the results of both would mix.
     pub fn open(folder: &Path, identity: &str, progress: &dyn Progress) -> Result<Self> {
         let failed = |e| Error::file(folder, format!("cannot be used to keep steps in: {e}"));
+        fs::create_dir_all(folder).map_err(failed)?;
+        let lock = lock(folder)?;
         let known = fs::read_to_string(folder.join(IDENTITY)).unwrap_or_default();
-        let checkpoints = Self { folder: Some(folder.to_owned()), prefix: String::new() };
+        let checkpoints = Self { folder: Some(folder.to_owned()), prefix: String::new(), _lock: Some(Arc::new(lock)) };
         if known != identity {
             if !known.is_empty() {
                 progress.warn(&format!(
@@ -91,7 +98,7 @@ impl Checkpoints {
                     folder.display()
                 ));
             }
-            checkpoints.clear().map_err(failed)?;
+            checkpoints.clear(&[]).map_err(failed)?;
             write_atomic(folder.join(IDENTITY), |sink| std::io::Write::write_all(sink, identity.as_bytes()))?;
         }
         Ok(checkpoints)
@@ -99,7 +106,7 @@ impl Checkpoints {
 
     /// The steps of a part of the computation, whose names are its own.
     pub fn within(&self, part: &str) -> Self {
-        Self { folder: self.folder.clone(), prefix: format!("{}{part}-", self.prefix) }
+        Self { prefix: format!("{}{part}-", self.prefix), ..self.clone() }
     }
 
     /// A step that was done, as it was written.
@@ -148,26 +155,38 @@ impl Checkpoints {
     /// Removes the steps: all is done.
     pub fn finish(self) {
         // What cannot be removed is in nobody's way.
-        let _ = self.clear();
+        let _ = self.clear(&[LOCK]);
+        let _ = self.folder.as_ref().map(fs::remove_dir);
     }
 
     fn file(&self, step: &str) -> Option<PathBuf> {
         Some(self.folder.as_ref()?.join(format!("{}{step}.{ENDING}", self.prefix)))
     }
 
-    /// Removes the steps, and the folder if nothing else is in it.
-    fn clear(&self) -> std::io::Result<()> {
-        let Some(folder) = self.folder.as_ref().filter(|folder| folder.exists()) else { return Ok(()) };
+    /// Removes the steps, and files of `others` names.
+    fn clear(&self, others: &[&str]) -> std::io::Result<()> {
+        let Some(folder) = &self.folder else { return Ok(()) };
         for entry in fs::read_dir(folder)? {
             let path = entry?.path();
-            if path.extension().is_some_and(|e| e == ENDING) || path.ends_with(IDENTITY) {
+            let is_other = others.iter().any(|name| path.ends_with(name));
+            if path.extension().is_some_and(|e| e == ENDING) || path.ends_with(IDENTITY) || is_other {
                 fs::remove_file(path)?;
             }
         }
-        match fs::remove_dir(folder) {
-            Err(e) if e.kind() != std::io::ErrorKind::DirectoryNotEmpty => Err(e),
-            _ => Ok(()),
-        }
+        Ok(())
+    }
+}
+
+/// Locks a folder of steps. Where the disk knows no locks there is none.
+fn lock(folder: &Path) -> Result<File> {
+    let path = folder.join(LOCK);
+    let file = File::create(&path).map_err(|e| Error::cannot_write(&path, e))?;
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(Error::file(
+            folder,
+            "is where another run that is not finished keeps its steps; wait for it, or give this one another --output",
+        )),
+        _ => Ok(file),
     }
 }
 
@@ -221,6 +240,19 @@ mod tests {
         open("b").finish();
         assert!(!folder.exists());
         assert!(made(&Checkpoints::none(), "one") && made(&Checkpoints::none(), "one"));
+    }
+
+    #[test]
+    fn two_runs_do_not_mix() {
+        let root = tempfile::tempdir().unwrap();
+        let open = |identity| Checkpoints::open(root.path(), identity, &Silent);
+        let first = open("a").unwrap();
+        let part = first.within("part");
+        drop(first);
+        let error = open("b").unwrap_err().to_string();
+        assert!(error.contains("another run") && error.contains("--output"), "{error}");
+        drop(part);
+        assert!(open("b").is_ok());
     }
 
     #[test]

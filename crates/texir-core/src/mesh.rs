@@ -5,6 +5,7 @@ use std::hash::Hash;
 
 use glam::{Vec2, Vec3};
 
+use crate::error::{Error, Result};
 use crate::surface::offset_origin;
 
 /// Rays may start off a surface by this share of the mesh's size.
@@ -24,6 +25,27 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// Errors unless there are a normal and coordinates for every vertex, and triangles of these vertices.
+    pub fn check(&self) -> Result<()> {
+        let vertices = self.positions.len();
+        for (what, count) in [("normals", self.normals.len()), ("atlas coordinates", self.uvs.len())] {
+            if count != vertices {
+                return Err(Error::invalid(format!(
+                    "the mesh has {count} {what}; expected one for each of its {vertices} vertices"
+                )));
+            }
+        }
+        if self.triangles.is_empty() {
+            return Err(Error::invalid("the mesh has no triangles"));
+        }
+        match self.triangles.iter().enumerate().find(|(_, t)| t.iter().any(|i| *i as usize >= vertices)) {
+            Some((t, corners)) => Err(Error::invalid(format!(
+                "triangle {t} of the mesh has the vertices {corners:?}; expected indices below {vertices}, their number"
+            ))),
+            None => Ok(()),
+        }
+    }
+
     /// The three corners of a triangle.
     pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
         self.triangles[triangle as usize].map(|i| self.positions[i as usize])

@@ -5,10 +5,7 @@ mod edited;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-use tempfile::TempDir;
-
-use crate::atomic_file::{folder_of, write_atomic};
+use crate::atomic_file::{Stage, write_atomic};
 use crate::brdf::Masking;
 use crate::capture::Tbl;
 use crate::diffuse::DiffuseModel;
@@ -21,6 +18,7 @@ use crate::progress::Progress;
 use crate::raster::{Gray, Rgb};
 use crate::render::Textures;
 use crate::text_file::read_text;
+use serde::{Deserialize, Serialize};
 
 /// Linear albedo, OpenEXR.
 pub const ALBEDO: &str = "albedo.exr";
@@ -185,49 +183,37 @@ impl FitOutput {
     }
 }
 
-/// Output that appears all at once: files are written to a folder beside the target and moved into it when all are there.
+/// Output that appears all at once: files are written to a folder that nobody looks into, and moved to the target when all are there.
 #[derive(Debug)]
-pub struct Staging {
-    folder: TempDir,
-    target: PathBuf,
-}
+pub struct Staging(Stage);
 
 impl Staging {
     /// Prepares to fill `target`, which may exist; missing folders above it are made.
     pub fn new(target: &Path) -> Result<Self> {
-        if target.exists() && !target.is_dir() {
-            return Err(Error::file(target, "is a file; expected a folder for the outputs, or a name for a new one"));
-        }
-        let failed = |e| Error::file(target, format!("cannot be written beside: {e}"));
-        let beside = folder_of(target);
-        fs::create_dir_all(beside).map_err(failed)?;
-        let folder = tempfile::Builder::new().prefix(".texir-").tempdir_in(beside).map_err(failed)?;
-        Ok(Self { folder, target: target.to_owned() })
+        Stage::new(target).map(Self)
     }
 
     /// The folder to write to.
     pub fn folder(&self) -> &Path {
-        self.folder.path()
+        self.0.folder()
     }
 
     /// The folder beside the target where steps towards it are kept.
     pub fn partial(&self) -> PathBuf {
-        let mut name = self.target.file_name().unwrap_or("texir".as_ref()).to_owned();
+        let mut name = self.0.target().file_name().unwrap_or("texir".as_ref()).to_owned();
         name.push(".partial");
-        self.target.with_file_name(name)
+        self.0.target().with_file_name(name)
     }
 
     /// Moves the files to the target. Files of the layout that an earlier run left there and this one did not make are
     /// removed: they describe another result.
     pub fn commit(self) -> Result<()> {
-        let failed = |path: &Path, e| Error::cannot_write(path, e);
-        fs::create_dir_all(&self.target).map_err(|e| failed(&self.target, e))?;
         for name in FILES {
-            let (from, to) = (self.folder().join(name), self.target.join(name));
-            if from.exists() {
-                fs::rename(&from, &to).map_err(|e| failed(&to, e))?;
-            } else if to.exists() {
-                fs::remove_file(&to).map_err(|e| failed(&to, e))?;
+            let old = self.0.target().join(name);
+            if self.folder().join(name).exists() {
+                self.0.place(name)?;
+            } else if old.exists() {
+                fs::remove_file(&old).map_err(|e| Error::cannot_write(&old, e))?;
             }
         }
         Ok(())
@@ -278,6 +264,8 @@ mod tests {
             fs::write(root.path().join(name), "old").unwrap();
         }
         let staging = Staging::new(root.path()).unwrap();
+        // The target may be another disk than the folder that it lies in.
+        assert_eq!(staging.folder().parent(), Some(root.path()));
         fs::write(staging.folder().join(ALBEDO), "new").unwrap();
         staging.commit().unwrap();
         assert_eq!(names(root.path()), [ALBEDO, "notes.txt"]);

@@ -105,7 +105,7 @@ impl<'a> Renderer<'a> {
     pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
         let atlas = Atlas::new(backend, radiance.width, radiance.height)?;
         let scene = backend.scene().clone();
-        backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance))?;
+        backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance)?)?;
         Ok(Self { backend, scene, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
     }
 

@@ -34,11 +34,10 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Builds the hierarchy. Errors on a mesh without triangles, with more than 2²⁷, or with vertices that are nowhere near it.
+    /// Builds the hierarchy. Errors on a mesh that is not [whole](Mesh::check), has more than 2²⁷ triangles, or vertices that are nowhere
+    /// near it.
     pub fn new(mesh: Mesh) -> Result<Self> {
-        if mesh.triangles.is_empty() {
-            return Err(Error::invalid("the mesh has no triangles"));
-        }
+        mesh.check()?;
         if mesh.triangles.len() > MOST_TRIANGLES {
             return Err(Error::invalid(format!(
                 "the mesh has {} triangles; expected at most {MOST_TRIANGLES}: simplify it, or divide it",

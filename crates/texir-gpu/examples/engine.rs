@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut backend = GpuBackend::new(&gpu, Scene::new(room())?)?;
     let atlas = Atlas::new(&mut backend, SIZE, SIZE)?;
     let radiance = emitted(&atlas);
-    backend.set_tbl(&radiance, &Lights::find(backend.scene(), &atlas, &radiance))?;
+    backend.set_tbl(&radiance, &Lights::find(backend.scene(), &atlas, &radiance)?)?;
 
     let gather = Gather::new(64, 64, 1);
     let console = Console::default();

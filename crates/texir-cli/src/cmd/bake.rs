@@ -64,7 +64,7 @@ pub struct Bake {
     #[cfg(feature = "oidn")]
     #[arg(long, conflicts_with_all = ["no_denoise", "max_memory"])]
     oidn: bool,
-    /// Give texels inside other geometry (a floor under a cupboard) their nearest lit neighbour's value, so that they do
+    /// Give texels just inside other geometry (the rim of a floor under a cupboard) their lit neighbour's value, so that they do
     /// not darken what is seen beside them
     #[arg(long)]
     fill_buried: bool,
@@ -149,7 +149,7 @@ impl Bake {
             None => Workspace::Memory,
         };
         let shining = Atlas::new(backend.as_mut(), radiance.width, radiance.height)?;
-        let lights = Lights::find(&scene, &shining, &radiance);
+        let lights = Lights::find(&scene, &shining, &radiance)?;
         drop(shining);
         backend.set_tbl(&radiance, &lights)?;
         let identity = bake::identity(&scene.mesh, &radiance, (backend.name(), width, height, quality));

@@ -50,16 +50,29 @@ pub struct Demo {
     roughness_variation: f32,
 }
 
+/// Errors where something is in the place of the capture that no demo has made: it would be lost.
+fn check_replaceable(folder: &Path) -> Result<(), Failure> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
+    let others =
+        entries.flatten().map(|entry| entry.file_name()).find(|name| !demo::FILES.iter().any(|file| name == *file));
+    others.map_or(Ok(()), |other| {
+        Err(Failure::new(format!("{}: holds {}, which no demo has made", folder.display(), other.display()))
+            .help("give another --output, or move it elsewhere: the folder would be replaced"))
+    })
+}
+
 impl Demo {
     /// Makes the capture, fits it, says where to look.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
         let staging = Staging::new(&out)?;
         let mut config = session.config.clone();
+        config.check_set()?;
         if config.fit.atlas_size == 0 {
             config.fit.atlas_size = ATLAS;
         }
         let session = &Session { config: &config, ..*session };
+        check_replaceable(&folder)?;
         self.make(&folder, session)?;
         let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
         let output = fit::write(staging, &capture, session)?;
@@ -96,5 +109,22 @@ impl Demo {
             std::fs::rename(folder, fresh.path().join("earlier")).map_err(failed)?;
         }
         std::fs::rename(&made, folder).map_err(failed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_of_others_are_not_replaced() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join(CAPTURE);
+        assert!(check_replaceable(&folder).is_ok());
+        std::fs::create_dir_all(folder.join("hdr")).unwrap();
+        std::fs::write(folder.join("transforms.json"), "{}").unwrap();
+        assert!(check_replaceable(&folder).is_ok());
+        std::fs::write(folder.join("notes.txt"), "mine").unwrap();
+        assert!(check_replaceable(&folder).unwrap_err().to_string().contains("notes.txt"));
     }
 }

@@ -78,6 +78,7 @@ impl Fit {
         config.fit.full.metallic.enabled |= self.metallic;
         config.fit.max_memory = self.max_memory.unwrap_or(config.fit.max_memory);
         config.fit.validate()?;
+        config.check_set()?;
         let session = &Session { config: &config, ..*session };
         let staging = Staging::new(&self.output)?;
         let mut capture = self.capture.load(session)?;
@@ -93,7 +94,10 @@ impl Fit {
             let written = Written { output: self.output.clone(), scene: self.output.join(SCENE) };
             return session.print(&written, || written.output.display().to_string());
         }
-        let evaluation = report::publish(&self.output, &output, &capture, eval::RAYS, session)?;
+        let evaluation = report::publish(&self.output, &output, &capture, eval::RAYS, session).inspect_err(|_| {
+            let what = format!("what is fitted is there; texir report {} evaluates it", self.output.display());
+            session.console.note(&format!("{:>24}  {what}", "not evaluated"));
+        })?;
         session
             .print(&evaluation, || format!("{}\n\n{}", figures::text(&evaluation), self.output.join(REPORT).display()))
     }

@@ -73,6 +73,14 @@ impl Hdr {
         check_outputs(&[&self.output], &self.shots)?;
         let shots = self.shots()?;
         let Merged { radiance, clipped, ghosts } = hdr::merge(&shots, self.response, session.console)?;
+        // Shots of a scene in which everything moved are shots of other exposures than was said.
+        if 2 * ghosts > radiance.data.len() {
+            let share = 100.0 * ghosts as f64 / radiance.data.len().max(1) as f64;
+            return Err(Failure::new(format!(
+                "{share:.0} % of the pixels differ between the shots by more than their exposures do"
+            ))
+            .help("check --times against the order of the shots, and that all show the same"));
+        }
         write_rgb(&self.output, &radiance)?;
         let summary = Summary {
             output: self.output.clone(),

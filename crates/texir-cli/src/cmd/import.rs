@@ -112,6 +112,7 @@ struct Summary {
 impl Import {
     /// Reads, converts and writes.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        import::check_vacant(&self.output)?;
         let models = self.segment.iter().zip(&self.classes);
         let segmenter = models.map(|(model, classes)| Segmenter::open(model, classes)).next().transpose()?;
         let options = ImportOptions {

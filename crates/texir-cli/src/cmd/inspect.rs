@@ -133,7 +133,6 @@ struct Known {
     albedo: usize,
     roughness: usize,
     hdr_texture: bool,
-    emission: bool,
     true_textures: bool,
 }
 
@@ -367,7 +366,6 @@ fn known(capture: &Capture) -> Known {
         albedo: with(|v| v.albedo.is_some()),
         roughness: with(|v| v.roughness.is_some()),
         hdr_texture: capture.tbl.is_some(),
-        emission: capture.emission.is_some(),
         true_textures: capture.truth.is_some(),
     }
 }
@@ -497,7 +495,6 @@ fn text(findings: &Findings, rows: usize) -> String {
     }
     let yes = |known| if known { "given" } else { "to be built" };
     line("HDR texture", yes(known.hdr_texture).to_owned());
-    line("emission", if known.emission { "given" } else { "to be found in the HDR texture" }.to_owned());
     line(
         "truth",
         format!(

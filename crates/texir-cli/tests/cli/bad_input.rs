@@ -122,7 +122,7 @@ fn unknown_and_impossible_settings() {
     let config = capture.out("settings.toml");
     for (text, parts) in [
         ("[fit]\nspecular_sample = 4\n", ["unknown field", "specular_sample", "specular_samples"]),
-        ("[fit]\nspecular_samples = 0\n", ["specular_samples", "0", "at least 1"]),
+        ("[fit]\nspecular_samples = 0\n", ["specular_samples", "0", "1 to 1048576"]),
         ("[fit.parameters]\nalbedo_range = [0.9, 0.1]\n", ["albedo_range[1]", "0.1", "above the lower bound"]),
         ("[fit.stage_two]\nquantile = 1.5\n", ["stage_two.quantile", "1.5", "[0, 1]"]),
         ("[fit.stage_one]\nsemantic_weight = nan\n", ["semantic_weight", "NaN", "at least 0"]),

@@ -233,7 +233,7 @@ fn light(backend: &mut CpuBackend, paints: &[Paint]) -> Textures {
     let albedo = texels.map(|paint| paint.map_or([0.0; 3], |p| p.albedo));
     let roughness = texels.map(|paint| paint.map_or(1.0, |p| p.roughness));
     let emission = texels.map(|paint| paint.map_or([0.0; 3], |p| p.emission));
-    let lights = Lights::find(backend.scene(), &atlas, &emission);
+    let lights = Lights::find(backend.scene(), &atlas, &emission).unwrap();
     let mut irradiance = Rgb::filled(ATLAS, ATLAS, [0.0; 3]);
     for bounce in 0..BOUNCES {
         let radiance = outgoing(&albedo, &irradiance, &emission);

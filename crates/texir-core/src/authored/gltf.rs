@@ -16,7 +16,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 
 use super::Surfaces;
-use super::texture::{Colour, Texture, decoded};
+use super::texture::{Colour, Texture, decoded, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
@@ -61,6 +61,14 @@ pub(crate) struct Part {
     pub material: Option<usize>,
     /// The node's name, or its index.
     pub name: String,
+}
+
+impl Part {
+    fn memory(&self) -> u64 {
+        let Self { positions, normals, uvs, triangles, .. } = self;
+        let uvs: usize = uvs.iter().map(|set| size_of_val(&set[..])).sum();
+        (size_of_val(&positions[..]) + size_of_val(&normals[..]) + uvs + size_of_val(&triangles[..])) as u64
+    }
 }
 
 /// What of the light that surfaces reflect is counted.
@@ -142,6 +150,8 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
     let used = shading.iter().flat_map(|s| [&s.albedo, &s.emission].into_iter().chain(&s.metal));
     let used = used.filter_map(|c| c.texture.as_ref());
     let used: Vec<usize> = used.map(|texture| texture.image).collect();
+    // All come along into the baked scene: what cannot is to be known before the bake.
+    document.images().try_for_each(|image| encoded(path, &image, &buffers).map(drop))?;
     let images = (document.images())
         .map(|image| used.contains(&image.index()).then(|| decoded(path, &image, &buffers)).transpose())
         .collect::<Result<_>>()?;
@@ -156,9 +166,15 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
 }
 
 impl Model {
-    /// Bytes of the images that its materials are looked up in.
+    /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in parts.
     pub fn memory(&self) -> u64 {
-        self.images.iter().flatten().map(|image| image.as_raw().len() as u64).sum()
+        let images: u64 = self.images.iter().flatten().map(|image| image.as_raw().len() as u64).sum();
+        let Mesh { positions, normals, uvs, triangles } = &self.mesh;
+        let whole = size_of_val(&positions[..])
+            + size_of_val(&normals[..])
+            + size_of_val(&uvs[..])
+            + size_of_val(&triangles[..]);
+        images + whole as u64 + self.parts.iter().map(Part::memory).sum::<u64>()
     }
 
     /// What the scene emits and reflects at the texels of its lightmap; the mean over a few points of each.

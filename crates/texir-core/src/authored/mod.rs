@@ -1,7 +1,7 @@
 //! Light of scenes as their authors describe them: emissive surfaces, punctual lights, an environment, and all that
 //! bounces between Lambertian surfaces.
 //!
-//! [`read_gltf`] makes a [`Model`] of a glTF file; [`Surfaces`] hold what a renderer needs to know of it per texel of the
+//! `read_gltf` makes a `Model` of a glTF file (feature `files`); [`Surfaces`] hold what a renderer needs to know of it per texel of the
 //! lightmap, and can as well be filled by an engine from its own scene; [`irradiance`] solves the light.
 //!
 //! Photometric: emission and environment are luminance in nits (cd/m²), intensities in candela, distant lights in lux, and
@@ -11,18 +11,28 @@ use std::hash::Hash;
 
 use bytemuck::cast_slice;
 
+#[cfg(feature = "files")]
 mod export;
+#[cfg(feature = "files")]
 mod gltf;
+#[cfg(feature = "files")]
 mod layout;
 mod solve;
-#[cfg(test)]
+#[cfg(all(test, feature = "files"))]
 mod tests;
+#[cfg(feature = "files")]
 mod texture;
+#[cfg(feature = "files")]
+mod unfinished;
+#[cfg(feature = "files")]
 mod unlit;
 
+#[cfg(feature = "files")]
 pub use self::export::write_lightmapped_glb;
+#[cfg(feature = "files")]
 pub use self::gltf::{Model, Reflected, read_gltf};
 pub use self::solve::{Bounces, Solved, irradiance};
+#[cfg(feature = "files")]
 pub use self::unlit::unlit;
 use crate::bake::{self, Texels};
 use crate::environment::Environment;

@@ -4,13 +4,13 @@
 use std::f32::consts::PI;
 use std::ops::Range;
 
-use super::{Model, Surfaces, listed};
+use super::Surfaces;
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
-use crate::lights::Finder;
+use crate::lights::{Finder, Lights};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
@@ -19,12 +19,6 @@ use crate::rng::hash2;
 /// A bounce brings less light than the one before, so that fewer rays suffice: in proportion to its share, but not fewer
 /// than this share of the first gather's.
 const FEWEST_RAYS: f64 = 1.0 / 16.0;
-
-/// A bounce that brings this share of the light of the one before is as bright as that: noise hides the rest.
-const STEADY: f64 = 0.99;
-
-/// Materials that reflect this much are named where bounces do not end.
-const NEARLY_WHITE: f32 = 0.95;
 
 /// When to stop bouncing, and how to gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,41 +40,6 @@ pub struct Solved {
     pub series: Vec<f64>,
     /// Estimated share of all light that the bounces left out would add.
     pub remainder: f64,
-}
-
-impl Solved {
-    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where their number was
-    /// `asked` for, only that more of them would not help.
-    pub fn unfinished(&self, model: &Model, tolerance: f32, asked: bool) -> Option<String> {
-        let steady = is_steady(&self.series);
-        // No tolerance at all asks for as many bounces as are allowed.
-        if self.remainder <= f64::from(tolerance) || (!steady && (asked || tolerance == 0.0)) {
-            return None;
-        }
-        let (bounces, white) = (self.series.len() - 1, model.reflecting(NEARLY_WHITE));
-        if steady {
-            // Light that stays for a while, and would die away after more bounces than were asked for.
-            return (!asked || !white.is_empty()).then(|| {
-                format!(
-                    "bounces do not converge: after {bounces}, each still brings about as much light as the one before, and the \
-                     map depends on where they end; {}",
-                    darken(&white)
-                )
-            });
-        }
-        let share = 100.0 * self.remainder;
-        let share = if share.is_finite() { format!("about {share:.2} %") } else { "an unknown share".to_owned() };
-        let reason = if white.is_empty() { String::new() } else { format!("; {}", darken(&white)) };
-        Some(format!(
-            "{bounces} bounces leave out {share} of all light, where --tolerance is {tolerance}: allow more with --bounces{reason}"
-        ))
-    }
-}
-
-/// What to do about materials by their names.
-fn darken(white: &[String]) -> String {
-    let these = if white.is_empty() { "what reflects nearly all light".to_owned() } else { listed(white) };
-    format!("give {these} a darker base colour: white paint reflects 0.8")
 }
 
 /// Solves the light of a scene at `texels`, of a map whose size the maps of `surfaces` have.
@@ -117,7 +76,8 @@ pub fn irradiance(
         let share = series.last().copied().unwrap_or(0.0) / series[0];
         let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
         drop(last);
-        last = solver.gather(&sent, k, share)?;
+        let lights = finder(solver.backend, texels, &sent)?.find();
+        last = solver.gather((&sent, &lights), k, share)?;
         total.add(texels, &last)?;
         series.push(last.mean(texels, &total)?);
         remainder = remainder_of(&series);
@@ -136,7 +96,9 @@ struct Solver<'a> {
 impl Solver<'_> {
     /// What emission, sky and lights without extent bring themselves.
     fn direct(&mut self, surfaces: &Surfaces) -> Result<Solution> {
-        let mut direct = self.gather(&surfaces.emission, 0, 1.0)?;
+        // However dim: what emits shines from its front alone.
+        let lights = finder(self.backend, self.texels, &surfaces.emission)?.emitters();
+        let mut direct = self.gather((&surfaces.emission, &lights), 0, 1.0)?;
         self.add_punctual(&mut direct, &surfaces.lights)?;
         Ok(direct)
     }
@@ -154,8 +116,8 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// E from surfaces of radiance `tbl` with a `share` of the rays; `bounce` draws other samples.
-    fn gather(&mut self, tbl: &Rgb, bounce: u32, share: f64) -> Result<Solution> {
+    /// E from surfaces of radiance `tbl`, with the lights in it, with a `share` of the rays; `bounce` draws other samples.
+    fn gather(&mut self, (tbl, lights): (&Rgb, &Lights), bounce: u32, share: f64) -> Result<Solution> {
         // Two, of which errors are told, unless it was one from the start.
         let scaled = |n: u32| ((f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32).max(n.min(2));
         let Quality { gather: Gather { cosine, light, seed, .. }, error, denoise } = self.bounces.quality;
@@ -163,18 +125,17 @@ impl Solver<'_> {
         // Variance in proportion to the light that a bounce brings: that of the sum is then at most `error` squared.
         let error = error.map(|error| error / share.clamp(f64::MIN_POSITIVE, 1.0).sqrt() as f32);
         let quality = Quality { gather, error, denoise };
-        set_tbl(self.backend, self.texels, tbl)?;
+        self.backend.set_tbl(tbl, lights)?;
         let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
         bake::solve(self.backend, self.texels, &quality, &checkpoints, self.progress)
     }
 }
 
-/// Gives the backend a map of radiance, and the lights in it.
-pub(super) fn set_tbl(backend: &mut dyn Backend, texels: &Texels<'_>, tbl: &Rgb) -> Result<()> {
-    let mut lights = Finder::new(backend.scene(), tbl, texels.valid());
-    texels.points().try_for_each(|points| points.map(|points| lights.take(&points)))?;
-    let lights = lights.find();
-    backend.set_tbl(tbl, &lights)
+/// Finds lights in a map of radiance.
+pub(super) fn finder<'a>(backend: &'a dyn Backend, texels: &Texels<'_>, tbl: &'a Rgb) -> Result<Finder<'a>> {
+    let mut finder = Finder::new(backend.scene(), tbl, texels.valid());
+    texels.points().try_for_each(|points| points.map(|points| finder.take(&points)))?;
+    Ok(finder)
 }
 
 /// Outgoing radiance of Lambertian surfaces: albedo/π · E, of which `irradiance` tells some rows.
@@ -201,25 +162,9 @@ fn remainder_of(series: &[f64]) -> f64 {
     }
 }
 
-/// Whether the last two bounces brought no less light than those before them.
-fn is_steady(series: &[f64]) -> bool {
-    match series {
-        [.., a, b, c] => *c > 0.0 && *b >= STEADY * a && *c >= STEADY * b,
-        _ => false,
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{is_steady, remainder_of};
-
-    #[test]
-    fn light_that_stays_is_told_from_light_that_dies_away() {
-        assert!(is_steady(&[5.0, 1.0, 1.0, 0.999]) && is_steady(&[1.0, 1.1, 1.2]));
-        assert!(!is_steady(&[1.0, 0.9, 0.81]) && !is_steady(&[1.0, 1.0, 0.5]) && !is_steady(&[0.0, 0.0, 0.0]));
-        // Light that finds its way around a corner first: two are too few to tell.
-        assert!(!is_steady(&[1.0, 2.0]) && !is_steady(&[1.0, 2.0, 1.5]));
-    }
+    use super::remainder_of;
 
     #[test]
     fn what_is_left_out_is_a_share_of_all_light() {

@@ -394,6 +394,24 @@ fn fronts_without_light_are_told_where_their_backs_have_it() {
 }
 
 #[test]
+fn dim_panels_too_shine_from_their_front_alone() {
+    // Half of all surface shines, so that it does not stand out.
+    let told = |panel: Mat4| {
+        let folder = tempfile::tempdir().unwrap();
+        let glow = json!({
+            "materials": [{ "emissiveFactor": [1.0, 1.0, 1.0] }],
+            "scenes": [{ "nodes": [0, 1] }],
+            "nodes": [{ "mesh": 0 }, { "mesh": 1, "matrix": panel.to_cols_array() }],
+        });
+        let [_, unlit] = told(write_squares(folder.path(), &[(&[], None), (&[], Some(0))], glow), 0, true);
+        unlit
+    };
+    let facing_down = about(Vec3::new(0.5, 1.0, 0.5), Mat4::from_rotation_x(std::f32::consts::PI));
+    assert_eq!(told(facing_down), None);
+    assert!(told(Mat4::IDENTITY).unwrap().contains("no light arrives"));
+}
+
+#[test]
 fn spots_without_a_cone_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let scene = write_lit(folder.path(), &[(0, Mat4::IDENTITY)], Vec3::new(0.5, 1.0, 0.5), vec![None]);

@@ -121,7 +121,8 @@ pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Da
             None => {
                 let name = urlencoding::decode(uri).map_err(|e| failed(&e))?;
                 let file = path.parent().unwrap_or(Path::new("")).join(&*name);
-                std::fs::read(&file).map(Cow::Owned).map_err(|e| Error::cannot_read(file, e))
+                let read = std::fs::read(&file).map(Cow::Owned);
+                read.map_err(|e| failed(&format!("{} cannot be read: {e}", file.display())))
             }
         },
     }

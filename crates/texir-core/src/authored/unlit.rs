@@ -1,6 +1,6 @@
 //! Light that does not arrive where it is looked for: at the fronts of faces, which are what a lightmap holds.
 
-use super::solve::{reflected, set_tbl};
+use super::solve::{finder, reflected};
 use super::{Model, Surfaces, listed};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::bake::{Solution, Texels};
@@ -109,7 +109,8 @@ fn light_at(
     let mut sent = reflected(&surfaces.albedo, |rows| solution.seen_rows(texels, solution, rows))?;
     sent.data.iter_mut().zip(&surfaces.emission.data).for_each(|(sent, own)| (0..3).for_each(|c| sent[c] += own[c]));
     backend.set_environment(None)?;
-    set_tbl(backend, texels, &sent)?;
+    let lights = finder(backend, texels, &sent)?.find();
+    backend.set_tbl(&sent, &lights)?;
     let per_point = u64::from(GATHER.cosine + GATHER.light) + surfaces.lights.len() as u64;
     progress.start("backs of double-sided surfaces", points.len() as u64 * per_point, "rays");
     let gathered = backend.irradiance(points, GATHER, progress)?;

@@ -146,7 +146,12 @@ fn cut(
     let axis = (0..3).max_by_key(|&axis| extent[axis]).unwrap_or(0);
     let whole = extent[axis] == 0;
     if whole && len > allowed {
-        return Err(too_dense(len, allowed));
+        // The most that will be asked for, so that who follows the advice is not told of the next.
+        let around = |cell: &IVec3| -> usize {
+            let beside = (0..27).map(|k| *cell + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1));
+            beside.filter_map(|cell| counts.get(&cell)).sum()
+        };
+        return Err(too_dense(counts.keys().map(around).max().unwrap_or(len), allowed));
     }
     if whole || len <= most {
         regions.push(Region { cells: bounds, start: 0, len });

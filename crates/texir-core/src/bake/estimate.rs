@@ -227,7 +227,9 @@ fn rounds(gather: Gather, error: Option<f32>, width: usize) -> Vec<[Gather; 2]> 
         Some(error) if !(error > 0.0) => return vec![apart(half.shared(width))],
         Some(_) => {}
     }
-    let doublings = (half.cosine / FIRST).checked_ilog2().unwrap_or(0);
+    // The smallest has lights as well.
+    let cosine = (half.cosine / FIRST).checked_ilog2().unwrap_or(0);
+    let doublings = half.light.checked_ilog2().map_or(cosine, |light| cosine.min(light));
     let part = |part, double: u32| Gather {
         cosine: (half.cosine >> doublings) << double,
         light: (half.light >> doublings) << double,

@@ -58,7 +58,7 @@ pub fn keep_within(
 }
 
 /// [`keep_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of every
-/// texel besides goes to files where it does not fit. `materials` are the bytes of images and environment.
+/// texel besides goes to files where it does not fit. `materials` are the bytes of the scene as it was read, and of an environment.
 pub fn keep_bounces_within(
     limit: ByteSize,
     folder: &Path,
@@ -81,7 +81,7 @@ pub fn keep_bounces_within(
     let largest = (width.max(height) as f64 * share.sqrt()) as usize / 64 * 64;
     let advice = if largest > 0 { format!("raise it, or bake {largest} texels a side") } else { "raise it".into() };
     Err(Error::invalid(format!(
-        "the limit of memory is {limit}, but all the light of a scene with {} triangles and {} of images on a map of {width}×{height} texels \
+        "the limit of memory is {limit}, but all the light of a scene with {} triangles, read in {}, on a map of {width}×{height} texels \
          needs about {least}: {advice}",
         mesh.triangles.len(),
         ByteSize(materials)

@@ -52,8 +52,8 @@ pub struct Baked {
 pub enum Buried {
     /// What they gathered.
     Keep,
-    /// Their nearest lit neighbour's value: theirs is not seen, but bleeds into what is seen beside it where a lookup
-    /// interpolates.
+    /// Their lit neighbour's value, [`PADDING`] texels inwards: theirs is not seen, but bleeds into what is seen beside it where
+    /// a lookup interpolates. What is further inside keeps what it gathered.
     Fill,
 }
 

@@ -133,8 +133,8 @@ impl Solution {
         Ok(sum / count.max(1) as f64)
     }
 
-    /// Some rows of the map of light that surfaces can send on: texels that are inside other geometry, which `first` tells, take
-    /// their nearest lit neighbour's.
+    /// Some rows of the map of light that surfaces can send on: [`Buried::Fill`] for texels that are inside other geometry, which
+    /// `first` tells.
     pub(crate) fn seen_rows(&self, texels: &Texels<'_>, first: &Self, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         texels.rows(&self.irradiance, Some(&first.seen), rows, PADDING)
     }

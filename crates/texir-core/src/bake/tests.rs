@@ -118,7 +118,9 @@ fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
         let kept = open(&path, &scene, &radiance, &stop);
         let stopped = in_tiles(&mut backend, &atlas, GATHER, TILE, &kept, &stop);
         assert!(matches!(stopped, Err(Error::Cancelled)));
-        let resumed = in_tiles(&mut backend, &atlas, GATHER, TILE, &open(&path, &scene, &radiance, &Silent), &Silent);
+        drop(kept);
+        let kept = open(&path, &scene, &radiance, &Silent);
+        let resumed = in_tiles(&mut backend, &atlas, GATHER, TILE, &kept, &Silent);
         assert!(whole == resumed.unwrap(), "stopped after {limit} rays");
         kept.finish();
         assert!(!path.exists());
@@ -202,6 +204,25 @@ fn strips() -> (Arc<Scene>, Rgb) {
     sheet([0.0, 12.0, 0.0, 1.0], 0.5, false, 14);
     let data = (0..SIDE * SIDE).map(|i| [0.1 + (i % 7) as f32, 1.0, if i % 5 == 0 { 9.0 } else { 0.1 }]).collect();
     (Arc::new(Scene::new(mesh).unwrap()), Rgb { width: SIDE, height: SIDE, data })
+}
+
+#[test]
+fn buried_texels_take_what_is_lit_beside_them_and_keep_the_rest() {
+    let (scene, radiance) = two_sheets();
+    let atlas = Atlas::new(&mut lit(&scene, &radiance), LARGE, LARGE).unwrap();
+    let row = |texel: &u32| *texel as usize / LARGE;
+    let first_lit = LARGE / 2;
+    let baked = Baked {
+        irradiance: atlas.texels.iter().map(|texel| [row(texel) as f32; 3]).collect(),
+        buried: atlas.texels.iter().map(|texel| row(texel) < first_lit).collect(),
+        standard_error: None,
+        rays: 0,
+    };
+    let (filled, kept) = (baked.map(&atlas, Buried::Fill), baked.map(&atlas, Buried::Keep));
+    for (texel, row) in atlas.texels.iter().map(|texel| (*texel as usize, row(texel))) {
+        let taken = if (first_lit - PADDING..first_lit).contains(&row) { first_lit } else { row };
+        assert!(filled.data[texel] == [taken as f32; 3] && kept.data[texel] == [row as f32; 3], "row {row}");
+    }
 }
 
 /// In files, with few texels at a time.
@@ -357,5 +378,5 @@ fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     let error = plan(ByteSize::mib(1), 64).unwrap_err().to_string();
     assert!(error.ends_with(": raise it"), "{error}");
     let error = beside(ByteSize::gib(1), 1 << 30, 64).unwrap_err().to_string();
-    assert!(error.contains("1.0 GiB of images") && plan(ByteSize::gib(1), 64).is_ok(), "{error}");
+    assert!(error.contains("triangles, read in 1.0 GiB,") && plan(ByteSize::gib(1), 64).is_ok(), "{error}");
 }

@@ -97,8 +97,8 @@ impl<'a> Texels<'a> {
         Ok(typical.edge())
     }
 
-    /// Some rows of the map of one value per texel; the values flagged `known` (all without), continued `rings` texels beyond
-    /// them, 0 elsewhere.
+    /// Some rows of the map of one value per texel; the values flagged `known` (all without) continued `rings` texels beyond
+    /// them, over others; 0 elsewhere.
     pub(super) fn rows<T: Pod>(
         &self,
         values: &Store<'_, T>,
@@ -115,10 +115,10 @@ impl<'a> Texels<'a> {
         let mut raster = Raster::filled(width, all.len(), T::zeroed());
         let mut filled = vec![false; raster.data.len()];
         let is_known = |k: usize| known.as_ref().is_none_or(|known| known[k] != 0);
-        for k in (0..points.len()).filter(|&k| is_known(k)) {
-            let at = points[k].sequence as usize - all.start * width;
-            raster.data[at] = values[k];
-            filled[at] = true;
+        for (k, (point, value)) in points.iter().zip(values.iter()).enumerate() {
+            let at = point.sequence as usize - all.start * width;
+            raster.data[at] = *value;
+            filled[at] = is_known(k);
         }
         atlas::pad(&mut raster, &mut filled, rings);
         let first = (rows.start - all.start) * width;

@@ -21,7 +21,7 @@ pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 const DOWN: f32 = 0.5;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
-/// `roughness_tex.exr`, `emission_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there,
+/// `roughness_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there,
 /// whole and of the right size.
 ///
 /// What can be worked with is warned about; what cannot is an error that names the file and the field.
@@ -78,9 +78,8 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
             None
         }
     };
-    let emission = existing("emission_tex.exr");
-    tbl.iter().chain(&emission).try_for_each(check_whole)?;
-    Ok(Capture { root, mesh_path, mesh, views, tbl, truth, emission })
+    tbl.as_ref().map_or(Ok(()), check_whole)?;
+    Ok(Capture { root, mesh_path, mesh, views, tbl, truth })
 }
 
 fn find_mesh(root: &Path) -> Result<PathBuf> {

@@ -112,8 +112,6 @@ pub struct Capture {
     pub tbl: Option<PathBuf>,
     /// Ground-truth textures, when given.
     pub truth: Option<Truth>,
-    /// Known emission per texel, when given.
-    pub emission: Option<PathBuf>,
 }
 
 /// Overrides of what is found in the folder.
@@ -134,7 +132,7 @@ impl Capture {
     /// The files that it is made of: no output may replace one.
     pub fn files(&self) -> Vec<PathBuf> {
         let truth = self.truth.iter().flat_map(|truth| [&truth.albedo, &truth.roughness]);
-        let of_folder = std::iter::once(&self.mesh_path).chain(&self.tbl).chain(&self.emission).chain(truth);
+        let of_folder = std::iter::once(&self.mesh_path).chain(&self.tbl).chain(truth);
         let of_views = self.views.iter().flat_map(View::files).map(|(_, path)| path.to_owned());
         std::iter::once(self.root.join("transforms.json")).chain(of_folder.cloned()).chain(of_views).collect()
     }

@@ -114,6 +114,7 @@ pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
         return Err(Error::file(path, "frames is empty; expected at least one view"));
     }
     let names = names(path, &file.frames)?;
+    check_lists(path, &file)?;
     let splits = SplitLists::new(&file);
     let folder = path.parent().unwrap_or(Path::new(""));
     let classes = file.classes.as_ref().map(|name| Classes::open(name, folder)).transpose()?.map(Arc::new);
@@ -167,6 +168,22 @@ fn names(path: &Path, frames: &[Frame]) -> Result<Vec<String>> {
         }
     }
     Ok(view_names(frames.iter().map(|frame| frame.file_path.as_str())))
+}
+
+/// Errors where a list names a file that is no frame's: that frame would be on the wrong side.
+fn check_lists(path: &Path, file: &Transforms) -> Result<()> {
+    let frames: HashSet<&str> = file.frames.iter().map(|frame| frame.file_path.as_str()).collect();
+    let lists = [
+        ("train_filenames", &file.train_filenames),
+        ("val_filenames", &file.val_filenames),
+        ("test_filenames", &file.test_filenames),
+    ];
+    for (field, names) in lists {
+        if let Some(name) = names.iter().flatten().find(|name| !frames.contains(name.as_str())) {
+            return Err(Error::file(path, format!("{field} has {name:?}; expected the file_path of a frame")));
+        }
+    }
+    Ok(())
 }
 
 /// nerfstudio's lists of file names, for frames without a `split`.
@@ -230,12 +247,16 @@ impl CameraModel {
                 return Err(place.error("camera_model", what));
             }
         };
-        Ok(Camera {
-            projection,
-            width: size(place, "w", self.w)?,
-            height: size(place, "h", self.h)?,
-            world_from_camera: pose::from_rows(rows).map_err(|e| place.error("transform_matrix", e))?.as_mat4(),
-        })
+        let (width, height) = (size(place, "w", self.w)?, size(place, "h", self.h)?);
+        if projection == Projection::Equirectangular && width != 2 * height {
+            let what = format!("are {width}×{height}; expected a full panorama, twice as wide as high");
+            return Err(place.error("w, h", what));
+        }
+        let world_from_camera = pose::from_rows(rows).map_err(|e| place.error("transform_matrix", e))?.as_mat4();
+        if !world_from_camera.is_finite() {
+            return Err(place.error("transform_matrix", format!("has the rows {rows:?}; expected metres")));
+        }
+        Ok(Camera { projection, width, height, world_from_camera })
     }
 
     /// The lens: nerfstudio's OPENCV takes k4 for the coefficient of r⁸, and its fisheye is OpenCV's.

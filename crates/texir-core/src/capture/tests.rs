@@ -133,7 +133,7 @@ fn a_good_capture_loads_without_a_warning() {
     let capture = capture.unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(capture.mesh.triangles, mesh().triangles);
-    assert!(capture.tbl.is_none() && capture.truth.is_none() && capture.emission.is_none());
+    assert!(capture.tbl.is_none() && capture.truth.is_none());
     assert_eq!(capture.views(Split::Train).count(), 2);
     for (read, written) in capture.views.iter().zip(views(folder.path())) {
         assert_eq!(format!("{read:?}"), format!("{written:?}"), "write_transforms and read_transforms agree");
@@ -152,14 +152,11 @@ fn textures_of_the_folder_are_found_and_overridden() {
     let folder = capture();
     let root = folder.path();
     let texels = Rgb::new(2, 2, vec![[1.0, 2.0, 3.0], [0.0; 3], [4.0; 3], [0.0; 3]]).unwrap();
-    for name in ["albedo_tex.exr", "emission_tex.exr"] {
-        write_rgb(root.join(name), &texels).unwrap();
-    }
+    write_rgb(root.join("albedo_tex.exr"), &texels).unwrap();
     write_gray(root.join("roughness_tex.exr"), &Gray::filled(2, 2, 0.5)).unwrap();
     write_rgb(root.join("hdr_texture.exr"), &texels).unwrap();
     let capture = load_warned(&folder).0.unwrap();
     assert_eq!(capture.truth.unwrap().albedo, root.join("albedo_tex.exr"));
-    assert_eq!(capture.emission.unwrap(), root.join("emission_tex.exr"));
     let tbl = Tbl::read(capture.tbl.unwrap(), &Silent).unwrap();
     let light = [Coverage::Seen, Coverage::Outside].repeat(2);
     assert_eq!(tbl.coverage.data, light, "without a mask, light tells");
@@ -188,7 +185,7 @@ fn perspective_cameras_survive_a_round_trip_and_need_no_images() {
     let path = folder.path().join("cameras.json");
     let mut written = views(folder.path());
     written[1].camera.projection = Projection::Pinhole { fx: 3.0, fy: 3.5, cx: 2.0, cy: 0.75 };
-    written[2].camera.width = 9;
+    (written[2].camera.width, written[2].camera.height) = (18, 9);
     nerfstudio::write_transforms(&path, &written).unwrap();
     let read = load_cameras(&path).unwrap();
     assert_eq!(format!("{read:?}"), format!("{written:?}"));
@@ -247,12 +244,14 @@ fn every_unusable_field_of_transforms_json_is_named_with_its_value() {
         ("/frames/1/transform_matrix", json!([[1, 0], [0, 1]]), vec!["transform_matrix", "[2, 2]", "4 rows"]),
         ("/frames/1/transform_matrix/3", json!([1, 0, 0, 1]), vec!["transform_matrix", "last row", "[0, 0, 0, 1]"]),
         ("/frames/1/transform_matrix/0/0", json!("x"), vec!["expected f64"]),
+        ("/frames/1/transform_matrix/0/3", json!(1e300), vec!["frames[1]", "transform_matrix", "metres"]),
         ("/frames/1/split", json!("both"), vec!["split is \"both\"", "train"]),
         ("/frames/1/file_path", json!(""), vec!["file_path names no file"]),
         ("/frames/1/file_path", json!("hdr/view_0.exr"), vec!["file_path", "hdr/view_0.exr", "a second time"]),
         ("/camera_model", json!("OPENCV_FISHEYE"), vec!["camera_model is OPENCV_FISHEYE", "texir import"]),
         ("/camera_model", Value::Null, vec!["camera_model is missing"]),
         ("/w", json!(0), vec!["w is 0"]),
+        ("/w", json!(5), vec!["w, h are 5×2", "twice as wide"]),
         ("/h", json!(2.5), vec!["h is 2.5"]),
         ("/w", json!(100_000), vec!["w is 100000", "1 to 65535"]),
         ("/h", Value::Null, vec!["h is missing"]),
@@ -264,6 +263,22 @@ fn every_unusable_field_of_transforms_json_is_named_with_its_value() {
         assert_says(&error, &["transforms.json"]);
         assert_says(&error, &parts);
     }
+}
+
+#[test]
+fn lists_name_frames() {
+    let lists = |names: Value| {
+        let folder = capture();
+        edit(&folder, |document| {
+            document["frames"].as_array_mut().unwrap().iter_mut().for_each(|frame| {
+                frame.as_object_mut().unwrap().remove("split");
+            });
+            document["test_filenames"] = names;
+        });
+        load_warned(&folder).0
+    };
+    assert_eq!(lists(json!(["hdr/view_1.exr"])).unwrap().views(Split::Train).count(), 2);
+    assert_says(&lists(json!(["view_1.exr"])).unwrap_err().to_string(), &["test_filenames", "view_1.exr", "file_path"]);
 }
 
 #[test]

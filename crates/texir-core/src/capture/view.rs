@@ -6,7 +6,7 @@ use super::sharpen::sharpen;
 use super::{Split, View};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::image_io::{self, read_gray, read_labels, read_mask, read_rgb, sanitise_radiance};
+use crate::image_io::{self, is_encoded, read_gray, read_labels, read_mask, read_photo, read_rgb, sanitise_radiance};
 use crate::progress::Progress;
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb, mean_pixel};
 
@@ -52,7 +52,7 @@ impl View {
     }
 
     fn image_with(&self, unknown: f32, progress: &dyn Progress) -> Result<Rgb> {
-        let mut image = read_rgb(&self.image)?;
+        let mut image = read_photo(&self.image)?;
         let found = sanitise_radiance(&mut image, f32::NAN);
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", self.image.display()));
@@ -138,6 +138,14 @@ impl View {
             image_io::check_whole(path)?;
         }
         self.load_semantic()?;
+        self.load_room()?;
+        // These are read by the evaluation alone. What is encoded is refused there.
+        if self.albedo.as_deref().map(is_encoded).transpose()? == Some(true) {
+            self.load_albedo()?;
+        }
+        if self.roughness.as_deref().map(is_encoded).transpose()? == Some(true) {
+            self.load_roughness()?;
+        }
         Ok(())
     }
 

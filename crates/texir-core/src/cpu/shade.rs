@@ -4,7 +4,7 @@
 use super::trace::{Lighting, Trace};
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::{
-    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_masking, f0, fresnel_weight, sample_half_vector,
+    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_schlick, f0, fresnel_weight, sample_half_vector,
     sample_weight, schlick,
 };
 use crate::real::{Real, V3};
@@ -68,7 +68,7 @@ fn sample_lobe<R: Real>(
     let c = Cosines { nl: nl.min(one), nv: normal.dot(view).max(zero).min(one), nh: cos, vh: vh.min(one) };
     let x = fresnel_weight(c.vh);
     let (d_ln_weight, d_fresnel) = match gradient {
-        RoughnessGradient::Exact => (d_ln_distribution_sampled(u, r) + d_ln_masking(c.nl, c.nv, r), zero),
+        RoughnessGradient::Exact => (d_ln_distribution_sampled(u, r) + d_ln_schlick(c.nl, c.nv, r), zero),
         RoughnessGradient::Authors => {
             // The half-vector tilts with r: dθ_h/dr = 2r √(u(1−u)) / ((1−u)+r⁴u), and everything with it.
             let d_theta = two * r * (u * (one - u)).sqrt() / ((one - u) + r * r * r * r * u);
@@ -76,7 +76,7 @@ fn sample_lobe<R: Real>(
             let d_vh = view.dot(azimuth * cos - normal * sin) * d_theta;
             let d_nl = two * (d_vh * c.nh + c.vh * d_nh);
             let k = (r + one) * (r + one) * R::of(0.125);
-            let d_ln_w = d_ln_masking(c.nl, c.nv, r) - (one - k) * schlick(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
+            let d_ln_w = d_ln_schlick(c.nl, c.nv, r) - (one - k) * schlick(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
                 - d_nh / c.nh;
             let slope = R::of(-5.55472 * 2.0) * c.vh - R::of(6.98316);
             (d_ln_w, x * R::of(std::f64::consts::LN_2) * slope * d_vh)

@@ -295,7 +295,7 @@ fn light_samples_change_the_noise_and_not_the_mean() {
             *texel = [5.0 + (i % 3) as f32; 3];
         }
     }
-    let lights = Lights::find(&scene, &atlas, &tbl);
+    let lights = Lights::find(&scene, &atlas, &tbl).unwrap();
     assert_eq!(lights.triangles.len(), 2);
     backend.set_tbl(&tbl, &lights).unwrap();
     let mut gather = |cosine, light, seed| -> Vec<f64> {

@@ -25,7 +25,7 @@ mod tests;
 pub use cameras::{Shot, ShotOptions, shots};
 pub use layout::{Room, RoomKind};
 pub use pathtrace::{RenderOptions, Rendered, render};
-pub use write::write;
+pub use write::{FILES, write};
 
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;

@@ -9,6 +9,23 @@ use crate::image_io::{write_gray, write_png_labels, write_rgb};
 use crate::mesh_io::obj;
 use crate::progress::Progress;
 
+/// All that [`write`] leaves in a folder.
+pub const FILES: [&str; 13] = [
+    "transforms.json",
+    "mesh.obj",
+    "albedo_tex.exr",
+    "roughness_tex.exr",
+    "emission_tex.exr",
+    "semantic_tex.png",
+    "room_tex.png",
+    "hdr",
+    "albedo",
+    "roughness",
+    "semantic",
+    "room",
+    "mask",
+];
+
 /// Writes `mesh.obj`, the views with their ground truth, the ground-truth textures and, last, `transforms.json`: a folder
 /// that was not finished is no capture. Images are OpenEXR (linear radiance, albedo, roughness) and PNG (ids, masks).
 pub fn write(flat: &Flat, views: &[Rendered], folder: impl AsRef<Path>, progress: &dyn Progress) -> Result<()> {

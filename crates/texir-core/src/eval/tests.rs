@@ -92,7 +92,6 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
         views: views.to_vec(),
         tbl: None,
         truth: Some(truth),
-        emission: None,
     }
 }
 

@@ -121,7 +121,7 @@ mod tests {
                     }
         });
         let mut bake = |radiance: &Rgb| {
-            backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance)).unwrap();
+            backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance).unwrap()).unwrap();
             let baked = bake::denoised(&mut backend, &atlas, gather, &none, &Silent).unwrap();
             baked.map(&atlas, Buried::Fill)
         };

@@ -22,7 +22,7 @@ use glam::Vec3;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
-use crate::bake;
+use crate::bake::{self, Baked};
 use crate::brdf::Masking;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
@@ -120,14 +120,14 @@ pub fn fit(
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
-    let lights = Lights::find(&scene, &atlas, &tbl.radiance);
+    let lights = Lights::find(&scene, &atlas, &tbl.radiance)?;
     backend.set_tbl(&tbl.radiance, &lights)?;
     let texel = atlas.typical_texel(&scene.mesh);
     let rays = settings.irradiance_rays(texel);
     let gather = Gather::new(rays - rays / 2, rays / 2, settings.seed);
     // Where it is gathered again it only has to tell what light surfaces send, and most of that is known from the views.
     let bake = if settings.bakes() > 1 { bake::thinned } else { bake::denoised };
-    let irradiance = bake(backend, &atlas, gather, checkpoints, progress)?.map(&atlas, bake::Buried::Fill);
+    let irradiance = outside(bake(backend, &atlas, gather, checkpoints, progress)?, &atlas);
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
@@ -189,6 +189,12 @@ fn lighting(
         }
         (size, _) => (size, size),
     };
+    if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
+        progress.warn(&format!(
+            "the HDR texture has {:?} texels, and fit.atlas_size asks for {size:?}: it is not used, but made anew of the views",
+            tbl.radiance.size()
+        ));
+    }
     let given = given.filter(|tbl| tbl.radiance.size() == size);
     let is_given = given.is_some();
     let atlas = Atlas::new(backend, size.0, size.1)?;
@@ -229,6 +235,13 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
     format!("{:?}", (&capture.tbl, &capture.views)).hash(&mut hasher);
     let (version, name, captured) = (env!("CARGO_PKG_VERSION"), backend.name(), hasher.finish());
     Ok(format!("texir {version}\n{name}\ncapture {captured:016x}\n{settings:?}\n"))
+}
+
+/// Irradiance of an atlas. What texels inside other geometry gather is no light of the room: they have none, but for the rim, which takes
+/// what is lit beside it.
+fn outside(mut baked: Baked, atlas: &Atlas) -> Rgb {
+    baked.irradiance.iter_mut().zip(&baked.buried).filter(|(_, inside)| **inside).for_each(|(e, _)| *e = [0.0; 3]);
+    baked.map(atlas, bake::Buried::Fill)
 }
 
 /// What leaves light sources, `radiance` where `emitters` are, and 0 elsewhere; by texel.

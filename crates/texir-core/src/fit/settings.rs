@@ -14,6 +14,9 @@ use crate::specular_table::TableSampling;
 /// Rays per texel at the least: two halves, whose difference tells the noise, of two kinds.
 const LEAST_RAYS: u32 = 4;
 
+/// Rays of a texel or pixel at the most: further ones are lost to single precision.
+const MOST_RAYS: u32 = 1 << 20;
+
 /// How materials are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -23,6 +26,26 @@ pub enum Mode {
     /// Robust least squares and a scan over roughness, on light samples drawn beforehand.
     #[default]
     Full,
+}
+
+impl Mode {
+    /// The fields of [`FitSettings`] that this mode alone reads.
+    pub fn own_settings(self) -> &'static [&'static str] {
+        match self {
+            Self::Paper => &[
+                "specular_samples",
+                "precomputed_irradiance",
+                "gradient",
+                "footprint_samples",
+                "optimiser",
+                "parameters",
+                "stage_one",
+                "stage_two",
+                "stage_three",
+            ],
+            Self::Full => &["full"],
+        }
+    }
 }
 
 /// Settings of the fit; in paper mode the defaults are the paper's where it states them.
@@ -652,10 +675,15 @@ impl FitSettings {
             (
                 "irradiance_samples",
                 self.irradiance_samples as f32,
-                !(1..LEAST_RAYS).contains(&self.irradiance_samples),
-                "0, or at least 4",
+                self.irradiance_samples == 0 || (LEAST_RAYS..=MOST_RAYS).contains(&self.irradiance_samples),
+                "0, or 4 to 1048576",
             ),
-            at_least_one("specular_samples", self.specular_samples),
+            (
+                "specular_samples",
+                self.specular_samples as f32,
+                (1..=MOST_RAYS).contains(&self.specular_samples),
+                "1 to 1048576",
+            ),
             ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),
             positive("emitter_ratio", self.emitter_ratio),
             positive("optimiser.learning_rate", o.learning_rate),

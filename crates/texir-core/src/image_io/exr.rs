@@ -61,9 +61,10 @@ pub(super) fn check_whole(path: &Path) -> std::result::Result<(), String> {
     blocks.and_then(|mut blocks| blocks.try_for_each(|block| block.map(drop))).map_err(|e| e.to_string())
 }
 
-/// Linear RGB of Rec. 709: colours of other primaries, where the header says so, are converted, and may come out negative.
-pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {
-    let Picked { mut raster, channels, chromaticities } = read_channels(path, "channels R, G and B, or Y", |names| {
+/// Linear RGB of Rec. 709: colours of other primaries, where the header says so, are converted, and may come out negative. Pixels that
+/// the file does not show are `unknown`: outside of its data window, and, unless it is 0, where alpha is 0 (but not everywhere).
+pub(super) fn read_rgb(path: &Path, unknown: f32) -> Result<Rgb> {
+    let picked = read_channels(path, "channels R, G and B, or Y", unknown, |names| {
         let find = |name: &str| names.iter().position(|n| n == name);
         if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
             return Some([r, g, b]);
@@ -71,12 +72,17 @@ pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {
         if let Some(y) = find("Y") {
             return Some([y; 3]);
         }
-        // A named layer in a single part: "ViewLayer.Combined.R".
-        names.iter().enumerate().find_map(|(r, name)| {
+        // A named layer in a single part: "ViewLayer.Combined.R", which holds what a camera sees, before others.
+        let layers = names.iter().enumerate().filter_map(|(r, name)| {
             let layer = name.strip_suffix(".R")?;
-            Some([r, find(&format!("{layer}.G"))?, find(&format!("{layer}.B"))?])
-        })
+            Some((layer, [r, find(&format!("{layer}.G"))?, find(&format!("{layer}.B"))?]))
+        });
+        layers.min_by_key(|(layer, _)| !layer.ends_with("Combined")).map(|(_, channels)| channels)
     })?;
+    let Picked { mut raster, channels, chromaticities, alpha } = picked;
+    if let Some(alpha) = alpha.filter(|alpha| unknown != 0.0 && alpha.iter().any(|a| *a != 0.0)) {
+        raster.data.iter_mut().zip(alpha).filter(|(_, alpha)| *alpha == 0.0).for_each(|(rgb, _)| *rgb = [unknown; 3]);
+    }
     // Y alone is as white as the file's white.
     let is_colour = channels[0] != channels[1];
     if let Some(chromaticities) = chromaticities.filter(|_| is_colour)
@@ -90,7 +96,7 @@ pub(super) fn read_rgb(path: &Path) -> Result<Rgb> {
 
 pub(super) fn read_gray(path: &Path) -> Result<Gray> {
     size(path)?;
-    let gray = read_channels(path, "one channel, or one named Y or R", |names| {
+    let gray = read_channels(path, "one channel, or one named Y or R", 0.0, |names| {
         let find = |name: &str| names.iter().position(|n| n == name);
         let only = (names.len() == 1).then_some(0);
         only.or_else(|| find("Y")).or_else(|| find("R")).map(|i| [i])
@@ -105,13 +111,16 @@ struct Picked<const N: usize> {
     channels: [usize; N],
     /// Of which primaries R, G and B are.
     chromaticities: Option<Chromaticities>,
+    /// Opacity of each pixel, where they have an alpha channel beside them.
+    alpha: Option<Vec<f32>>,
 }
 
 /// The channels that `select` picks by name from the first layer that has them, placed in the display window: pixels
-/// outside of the data window are 0.
+/// outside of the data window are `empty`.
 fn read_channels<const N: usize>(
     path: &Path,
     expected: &str,
+    empty: f32,
     select: impl Fn(&[String]) -> Option<[usize; N]>,
 ) -> Result<Picked<N>> {
     let image: FlatImage = read()
@@ -142,16 +151,24 @@ fn read_channels<const N: usize>(
         }
         let window = image.attributes.display_window;
         let offset = layer.attributes.layer_position - window.position;
-        let mut raster = Raster::filled(window.size.width(), window.size.height(), [0.0; N]);
+        let mut raster = Raster::filled(window.size.width(), window.size.height(), [empty; N]);
+        let beside = names[picked[0]].strip_suffix('R').map(|layer| format!("{layer}A"));
+        let alpha =
+            beside.and_then(|name| channels.iter().find(|c| c.name == *name.as_str() && c.sampling == Vec2(1, 1)));
+        let mut opacity = alpha.map(|_| vec![0.0; raster.data.len()]);
         for (y, row) in raster.data.chunks_exact_mut(window.size.width()).enumerate() {
             let Some(source_y) = inside(y, offset.y(), layer.size.height()) else { continue };
             for (x, pixel) in row.iter_mut().enumerate() {
                 let Some(source_x) = inside(x, offset.x(), layer.size.width()) else { continue };
                 let index = source_y * layer.size.width() + source_x;
                 *pixel = planes.map(|plane| sample(&plane.sample_data, index));
+                if let (Some(alpha), Some(opacity)) = (alpha, &mut opacity) {
+                    opacity[y * window.size.width() + x] = sample(&alpha.sample_data, index);
+                }
             }
         }
-        return Ok(Picked { raster, channels: picked, chromaticities: image.attributes.chromaticities });
+        let chromaticities = image.attributes.chromaticities;
+        return Ok(Picked { raster, channels: picked, chromaticities, alpha: opacity });
     }
     Err(Error::file(path, format!("has the channels {}; expected {expected}", found.join(", "))))
 }

@@ -143,10 +143,18 @@ pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
 /// TIFF. 8-bit formats are refused: their encoding and
 /// their clipping are unknown.
 pub fn read_rgb(path: impl AsRef<Path>) -> Result<Rgb> {
-    let path = path.as_ref();
+    read_rgb_with(path.as_ref(), 0.0)
+}
+
+/// [`read_rgb`] of a photo: NaN where an OpenEXR shows nothing, outside of its data window or where its alpha is 0.
+pub fn read_photo(path: impl AsRef<Path>) -> Result<Rgb> {
+    read_rgb_with(path.as_ref(), f32::NAN)
+}
+
+fn read_rgb_with(path: &Path, unknown: f32) -> Result<Rgb> {
     read_size(path)?;
     match format_of(path)? {
-        Format::OpenExr => exr::read_rgb(path),
+        Format::OpenExr => exr::read_rgb(path, unknown),
         Format::RadianceHdr => read_radiance_hdr(path),
         Format::Tiff => read_float_tiff(path),
         format @ (Format::Png | Format::Jpeg) => Err(Error::file(

@@ -128,6 +128,32 @@ fn a_cropped_exr_is_placed_in_its_display_window() {
 }
 
 #[test]
+fn what_an_exr_does_not_show_is_unknown_in_a_photo_and_black_in_a_texture() {
+    let folder = folder();
+    let path = folder.path().join("photo.exr");
+    let colours = [("R", 1.0), ("G", 1.0), ("B", 1.0)];
+    // The third column lies outside of the data window; alpha is 0, 1.
+    write_exr(&path, (2, 1), LayerAttributes::default(), whole(3, 1), &[&colours[..], &[("A", 0.0)]].concat());
+    assert_eq!(read_rgb(&path).unwrap().data, [[1.0; 3], [2.0; 3], [0.0; 3]]);
+    let photo = read_photo(&path).unwrap().data;
+    assert!(photo[0].iter().chain(&photo[2]).all(|v| v.is_nan()) && photo[1] == [2.0; 3], "{photo:?}");
+    // An alpha channel that is 0 everywhere says nothing.
+    write_exr(&path, (1, 1), LayerAttributes::default(), whole(1, 1), &[&colours[..], &[("A", 0.0)]].concat());
+    assert_eq!(read_photo(&path).unwrap().data, [[1.0; 3]]);
+}
+
+#[test]
+fn of_many_layers_the_combined_one_is_read() {
+    let folder = folder();
+    let path = folder.path().join("layers.exr");
+    let layers = [("View.AO.", 50.0), ("View.Combined.", 1.0), ("View.Env.", 90.0)];
+    let names = layers.map(|(layer, value)| ["B", "G", "R"].map(|c| (format!("{layer}{c}"), value)));
+    let channels: Vec<(&str, f32)> = names.iter().flatten().map(|(name, value)| (name.as_str(), *value)).collect();
+    write_exr(&path, (1, 1), LayerAttributes::default(), whole(1, 1), &channels);
+    assert_eq!(read_rgb(&path).unwrap().data, [[1.0; 3]]);
+}
+
+#[test]
 fn radiance_hdr_is_divided_by_its_exposure() {
     let folder = folder();
     let path = folder.path().join("image.hdr");

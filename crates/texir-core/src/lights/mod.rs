@@ -12,6 +12,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use crate::atlas::Atlas;
+use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::raster::{Rgb, luminance};
 use crate::scene::Scene;
@@ -81,11 +82,15 @@ impl Lights {
         Self { triangles: Vec::new(), clusters: vec![0], density, grid, tables: Vec::new() }
     }
 
-    /// The triangles that stand out in `radiance`, sampled where they are seen. `atlas` has the size of `radiance`.
-    pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Self {
+    /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size.
+    pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
+        let [own, others] = [(atlas.width, atlas.height), (radiance.width, radiance.height)];
+        if own != others || radiance.data.len() != radiance.width * radiance.height {
+            return Err(Error::invalid(format!("the radiance has {others:?} texels; expected the atlas's {own:?}")));
+        }
         let mut finder = Finder::new(scene, radiance, atlas.points.len());
         finder.take(&atlas.points);
-        finder.find()
+        Ok(finder.find())
     }
 
     /// The triangles whose `luminance` (one number per mesh triangle) is above 0, sampled in proportion to luminance × area
@@ -115,11 +120,11 @@ impl Lights {
         self.triangles.is_empty()
     }
 
-    /// Whether every index of one part lies within another. Only lights made by hand, field by field, may not be.
+    /// Whether every index of one part lies within another, and no cluster is empty. Only lights made by hand, field by field, may not be.
     pub fn is_consistent(&self) -> bool {
         let clusters = self.clusters.len().saturating_sub(1);
         let ascending = self.clusters.first() == Some(&0)
-            && self.clusters.is_sorted()
+            && self.clusters.is_sorted_by(|a, b| a < b)
             && self.clusters.last().is_some_and(|&n| n as usize == self.triangles.len());
         let whole = if clusters == 0 { self.tables.is_empty() } else { self.tables.len().is_multiple_of(clusters) };
         let tables = self.tables.len().checked_div(clusters).unwrap_or(0);
@@ -232,6 +237,12 @@ impl<'a> Finder<'a> {
         self.taken += points.len();
     }
 
+    /// All that shines in a map of nothing but emission.
+    pub fn emitters(self) -> Lights {
+        let luminance = self.mean_luminance();
+        self.sampled(&luminance)
+    }
+
     /// See [`Lights::find`].
     pub fn find(self) -> Lights {
         let mesh = &self.scene.mesh;
@@ -241,7 +252,12 @@ impl<'a> Finder<'a> {
         let total: f64 = luminance.iter().zip(&area).map(|(&l, &a)| f64::from(l * a)).sum();
         let threshold = CONTRAST * (total / total_area) as f32;
         luminance.iter_mut().filter(|l| !(**l > threshold)).for_each(|l| *l = 0.0);
-        learn::learn(Lights::by_power(mesh, &luminance), self.scene, &self.chosen)
+        self.sampled(&luminance)
+    }
+
+    /// Triangles of this luminance, sampled where they are seen.
+    fn sampled(&self, luminance: &[f32]) -> Lights {
+        learn::learn(Lights::by_power(&self.scene.mesh, luminance), self.scene, &self.chosen)
     }
 
     /// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.

@@ -93,7 +93,7 @@ fn gathered(backend: &mut dyn Backend, point: &SurfacePoint, cosine: u32, light:
 #[test]
 fn a_rectangle_shines_as_its_form_factor_says() {
     let (scene, radiance) = two_rooms();
-    let mut lights = Lights::find(&scene, &atlas(&scene), &radiance);
+    let mut lights = Lights::find(&scene, &atlas(&scene), &radiance).unwrap();
     let mut backend = CpuBackend::new(scene.clone());
     for point in [on_floor(1.0, 1.0), on_floor(0.3, 1.6)] {
         let [x, y, _] = point.position.map(f64::from);
@@ -127,7 +127,7 @@ fn a_rectangle_shines_as_its_form_factor_says() {
 #[test]
 fn a_room_is_lit_by_its_own_lamp() {
     let (scene, radiance) = two_rooms();
-    let lights = Lights::find(&scene, &atlas(&scene), &radiance);
+    let lights = Lights::find(&scene, &atlas(&scene), &radiance).unwrap();
     assert_eq!(lights.triangles.len(), 4);
     let share = |point: SurfacePoint, left: bool| -> f32 {
         let table = lights.table(point.position.into(), point.normal.into());
@@ -144,7 +144,7 @@ fn a_room_is_lit_by_its_own_lamp() {
 #[test]
 fn every_table_is_a_density() {
     let (scene, radiance) = two_rooms();
-    let lights = Lights::find(&scene, &atlas(&scene), &radiance);
+    let lights = Lights::find(&scene, &atlas(&scene), &radiance).unwrap();
     let clusters = lights.clusters.len() - 1;
     assert!(lights.tables.len() > 10 * clusters);
     for table in lights.tables.chunks(clusters) {
@@ -206,7 +206,7 @@ fn clusters_hold_every_light_once_and_face_one_way() {
 #[test]
 fn nothing_that_shines_is_no_light() {
     let (scene, _) = two_rooms();
-    let dark = Lights::find(&scene, &atlas(&scene), &Rgb::filled(SIDE, SIDE, [1.0; 3]));
+    let dark = Lights::find(&scene, &atlas(&scene), &Rgb::filled(SIDE, SIDE, [1.0; 3])).unwrap();
     assert_eq!(dark, Lights::none(&scene.mesh));
     let unusable = Lights::by_power(&scene.mesh, &vec![f32::NAN; scene.mesh.triangles.len()]);
     assert!(unusable.is_empty());

@@ -97,7 +97,6 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let reflected = if options.specular { Reflected::InAll } else { Reflected::Diffusely };
     let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
     let [width, height] = model.size;
-    let mut backend = device::open(Scene::new(model.mesh.clone())?, session.config, session.console)?;
     let workspace = match bake.max_memory {
         Some(limit) => {
             let materials = model.memory() + environment.as_ref().map_or(0, Environment::memory);
@@ -105,6 +104,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         }
         None => Workspace::Memory,
     };
+    let mut backend = device::open(Scene::new(model.mesh.clone())?, session.config, session.console)?;
     let prepared = prepare(backend.as_mut(), &model, environment, workspace, (bake, session));
     // Nothing is kept yet: a folder that is there for files without a name is empty.
     let (texels, surfaces) = prepared.inspect_err(|_| drop(std::fs::remove_dir(bake.partial())))?;

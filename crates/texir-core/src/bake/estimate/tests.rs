@@ -106,6 +106,7 @@ fn rounds_double_up_to_all_rays() {
             assert!(a.sequences == part && (sum == 0 || a.cosine == sum), "{rounds:?}");
             assert!(*b == Gather { seed: b.seed, ..*a } && a.seed != b.seed, "{rounds:?}");
             sum += a.cosine;
+            assert_eq!(a.light > 0, light > 0, "{rounds:?}");
         }
         assert!(sum <= expected && sum + (1 << rounds.len()) > expected, "{rounds:?}");
     }

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 
 pub use self::lens::Distortion;
-pub use self::write::{Written, write};
+pub use self::write::{Written, check_vacant, write};
 use super::segment::Segmenter;
 use super::{Capture, View};
 use crate::error::{Error, Result};
@@ -199,7 +199,6 @@ impl Import {
             views: self.shots.iter().map(|shot| shot.view.clone()).collect(),
             tbl: None,
             truth: None,
-            emission: None,
         }
     }
 }

@@ -7,16 +7,19 @@ use rayon::prelude::*;
 
 use super::lens::Undistortion;
 use super::{Import, ImportOptions, Shot};
-use crate::atomic_file::write_atomic;
+use crate::atomic_file::{Stage, write_atomic};
 use crate::capture::{View, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{
-    TransferCurve, check_whole, is_encoded, read_encoded, read_gray, read_labels, read_mask, read_rgb, read_size,
-    write_gray, write_png_labels, write_png_mask, write_rgb,
+    TransferCurve, check_whole, is_encoded, read_encoded, read_gray, read_labels, read_mask, read_photo, read_rgb,
+    read_size, write_gray, write_png_labels, write_png_mask, write_rgb,
 };
 use crate::mesh_io::obj;
 use crate::progress::Progress;
 use crate::raster::{Labels, Mask, Raster};
+
+/// The file that makes a folder a capture.
+const TRANSFORMS: &str = "transforms.json";
 
 /// What an import did to the images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -33,19 +36,29 @@ pub struct Written {
     pub clipped_pixels: usize,
 }
 
-/// Writes images (copied or linked where they need no change), textures, `mesh.obj` and, last, `transforms.json`: a
-/// folder that was not finished is no capture.
+/// Errors unless `out` is a folder to come or an empty one: an import replaces nothing, least of all what it reads.
+pub fn check_vacant(out: &Path) -> Result<()> {
+    let Ok(mut entries) = std::fs::read_dir(out) else { return Ok(()) };
+    match entries.next() {
+        Some(Ok(first)) => {
+            let what = format!("holds {} already; expected a new or empty folder", first.file_name().display());
+            Err(Error::file(out, what))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes images (copied or linked where they need no change), textures, `mesh.obj` and `transforms.json`, to a folder that is not
+/// there or [empty](check_vacant): all of it or nothing.
 pub fn write(
     import: &Import,
     out: impl AsRef<Path>,
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Written> {
-    let out = out.as_ref();
-    let transforms = out.join("transforms.json");
-    if transforms.exists() {
-        return Err(Error::file(out, "holds a transforms.json already; expected a new or empty folder"));
-    }
+    check_vacant(out.as_ref())?;
+    let stage = Stage::new(out.as_ref())?;
+    let out = stage.folder();
     progress.start("import: views", import.shots.len() as u64, "views");
     let job = Job { out, options };
     let converted = |shot: &Shot| {
@@ -57,7 +70,7 @@ pub fn write(
     let converted = import.shots.par_iter().map(converted).collect::<Result<Vec<_>>>()?;
     progress.finish();
     for (name, file) in &import.textures {
-        let to = free(out.join(name))?;
+        let to = out.join(name);
         // Readers go by the content, but people go by the name.
         if name.ends_with(".exr") && !is_exr(file) {
             write_rgb(to, &read_rgb(file)?)?;
@@ -76,7 +89,7 @@ pub fn write(
         progress.warn(&format!(
             "{}: {} pixels of {} encoded images are clipped: lamps and windows among them are darker than they were, and \
              the room is lit too dimly; merge bracketed exposures with `texir hdr` instead",
-            out.display(),
+            stage.target().display(),
             written.clipped_pixels,
             written.decoded
         ));
@@ -90,7 +103,8 @@ pub fn write(
         let classes = Arc::new(classes.bring(out)?);
         views.iter_mut().for_each(|view| view.classes = Some(classes.clone()));
     }
-    nerfstudio::write_transforms(transforms, &views)?;
+    nerfstudio::write_transforms(out.join(TRANSFORMS), &views)?;
+    stage.place_all(TRANSFORMS)?;
     Ok(written)
 }
 
@@ -128,7 +142,7 @@ impl Job<'_> {
             })?),
         };
         let lens = lens.as_ref();
-        let file = |kind: &str, extension: &str| free(self.out.join(kind).join(format!("{}.{extension}", view.name)));
+        let file = |kind: &str, extension: &str| self.out.join(kind).join(format!("{}.{extension}", view.name));
         let (image, own_opacity, clipped) = self.radiance(view, lens, &file)?;
         let opaque = match &shot.opacity {
             Some(path) => read_encoded(path)?.opaque,
@@ -143,23 +157,23 @@ impl Job<'_> {
                 name: view.name.clone(),
                 camera: lens.map_or(view.camera, |lens| lens.pinhole),
                 image,
-                semantic: self.labels(semantic, lens, size, file("semantic", "png")?)?,
-                mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png")?)?,
+                semantic: self.labels(semantic, lens, size, file("semantic", "png"))?,
+                mask: self.mask(view.mask.as_deref(), opaque, lens, size, file("mask", "png"))?,
                 room: self.labels(
                     view.room.as_deref().map(read_labels).transpose()?,
                     lens,
                     size,
-                    file("room", "png")?,
+                    file("room", "png"),
                 )?,
                 albedo: view
                     .albedo
                     .as_deref()
-                    .map(|from| self.albedo(from, lens, file("albedo", "exr")?))
+                    .map(|from| self.albedo(from, lens, file("albedo", "exr")))
                     .transpose()?,
                 roughness: view
                     .roughness
                     .as_deref()
-                    .map(|from| self.roughness(from, lens, file("roughness", "exr")?))
+                    .map(|from| self.roughness(from, lens, file("roughness", "exr")))
                     .transpose()?,
                 ..view.clone()
             },
@@ -173,23 +187,23 @@ impl Job<'_> {
         &self,
         view: &View,
         lens: Option<&Undistortion>,
-        file: &impl Fn(&str, &str) -> Result<PathBuf>,
+        file: &impl Fn(&str, &str) -> PathBuf,
     ) -> Result<(PathBuf, Option<Mask>, Option<usize>)> {
         let (image, opaque, clipped) = if is_encoded(&view.image)? {
             let encoded = read_encoded(&view.image)?;
             let (image, clipped) = encoded.decode(self.curve(&view.image)?);
             (image, encoded.opaque, Some(clipped))
         } else if let Some(lens) = lens {
-            let to = file("hdr", "exr")?;
-            write_rgb(&to, &lens.smooth(&read_rgb(&view.image)?))?;
+            let to = file("hdr", "exr");
+            write_rgb(&to, &lens.smooth(&read_photo(&view.image)?))?;
             return Ok((to, None, None));
         } else {
             let extension = view.image.extension().and_then(|e| e.to_str()).unwrap_or("exr");
-            let to = file("hdr", extension)?;
+            let to = file("hdr", extension);
             self.bring(&view.image, &to)?;
             return Ok((to, None, None));
         };
-        let to = file("hdr", "exr")?;
+        let to = file("hdr", "exr");
         write_rgb(&to, &lens.map_or_else(|| image.clone(), |lens| lens.smooth(&image)))?;
         Ok((to, opaque, clipped))
     }
@@ -271,15 +285,6 @@ impl Job<'_> {
         let mut source = std::fs::File::open(from).map_err(|e| Error::cannot_read(from, e))?;
         write_atomic(to, |sink| std::io::copy(&mut source, sink).map(drop))
     }
-}
-
-/// A place to write to. A link there is of an import with `--link` that was not finished: writing would follow it, and replace
-/// an image of some source.
-fn free(to: PathBuf) -> Result<PathBuf> {
-    if to.is_symlink() {
-        std::fs::remove_file(&to).map_err(|e| Error::cannot_write(&to, e))?;
-    }
-    Ok(to)
 }
 
 #[cfg(unix)]

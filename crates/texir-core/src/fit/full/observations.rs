@@ -145,6 +145,13 @@ impl Observer<'_> {
             .filter(|&pixel| usable.data[pixel])
             .filter_map(|pixel| Some((pixel, strata.texels(pixel, index, self.emitters)?)))
             .collect();
+        let lit = |pixel: usize| image.data[pixel].iter().any(|v| *v > 0.0);
+        if !pixels.iter().any(|(pixel, _)| lit(*pixel)) {
+            progress.warn(&format!(
+                "view {:?} shows no lit surface: its image or mask is black, or it sees light sources alone",
+                view.name
+            ));
+        }
         let mut left_out = vec![true; view.camera.pixels()];
         pixels.iter().for_each(|(pixel, _)| left_out[*pixel] = false);
         let at_rim = rims::beside(&view.camera, &left_out, rims::reach(self.settings.roughness.rim, &view.camera));

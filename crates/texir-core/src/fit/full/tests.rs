@@ -72,7 +72,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let (scene, radiance) = room();
     let mut backend = CpuBackend::new(scene.clone());
     let atlas = Atlas::new(&mut backend, 2 * FLOOR, FLOOR).unwrap();
-    let lights = Lights::find(&scene, &atlas, &radiance);
+    let lights = Lights::find(&scene, &atlas, &radiance).unwrap();
     backend.set_tbl(&radiance, &lights).unwrap();
     let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();
     let gather = Gather::new(1024, 1024, 3);

@@ -106,6 +106,7 @@ fn damaged_colmap_models_are_errors() {
         ("cameras.txt", "7 SIMPLE", "8 SIMPLE", ["images.txt", "camera 7", "cameras.txt"]),
         ("images.txt", " 7 photo 0", " seven photo 0", ["line 2", "CAMERA_ID", "seven"]),
         ("images.txt", " 7 photo 0.jpg", " 7", ["line 2", "NAME", "cut off"]),
+        ("images.txt", "photo 0.jpg\n\n", "photo 0.jpg\n", ["line 3", "photo 1.jpg", "empty where there are none"]),
     ] {
         let path = folder.path().join("sparse/0").join(name);
         let text = std::fs::read_to_string(&path).unwrap();
@@ -413,30 +414,26 @@ fn nerfstudio_is_read_with_all_that_belongs_to_it() {
     assert_eq!(capture.views[2].load_roughness().unwrap().unwrap().data[0], 0.25);
     assert_eq!(out.path().join("hdr/v1.exr").is_symlink(), cfg!(unix));
     let again = write(&read, out.path(), &options, &Silent).unwrap_err().to_string();
-    assert_says(&again, &["transforms.json already", "empty folder"]);
+    assert_says(&again, &["already", "new or empty folder"]);
 }
 
-#[cfg(unix)]
 #[test]
-fn an_import_that_was_not_finished_leaves_no_link_to_write_through() {
-    let [first, second] = [(); 2].map(|()| nerfstudio());
-    let out = tempfile::tempdir().unwrap();
-    let [first_read, second_read] =
-        [&first, &second].map(|folder| super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap());
-    let copied = ImportOptions::default();
-    let linked = ImportOptions { link: true, ..copied.clone() };
-    let to = |name: &str| out.path().join(name);
-    let image = first.path().join("photos/v1.exr");
-    write_rgb(second.path().join("photos/v1.exr"), &Rgb::filled(WIDTH, HEIGHT, [5.0; 3])).unwrap();
+fn an_import_replaces_nothing_and_leaves_nothing_half_done() {
+    let source = nerfstudio();
+    let read = super::super::read(source.path(), &ImportOptions::default(), &Silent).unwrap();
+    let image = source.path().join("photos/v1.exr");
     let before = std::fs::read(&image).unwrap();
-    for (read, options) in [(&first_read, &linked), (&second_read, &linked), (&second_read, &copied)] {
-        write(read, out.path(), options, &Silent).unwrap();
-        assert_eq!(to("hdr/v1.exr").is_symlink(), options.link);
-        assert!(std::fs::read(&image).unwrap() == before, "the source's image was replaced");
-        std::fs::remove_file(to("transforms.json")).unwrap();
-    }
-    // Negative control: that the images differ.
-    assert!(std::fs::read(to("hdr/v1.exr")).unwrap() != before);
+    let into = |out: &Path| write(&read, out, &ImportOptions::default(), &Silent);
+    assert_says(&into(source.path()).unwrap_err().to_string(), &["new or empty folder"]);
+    assert!(std::fs::read(&image).unwrap() == before);
+    let root = tempfile::tempdir().unwrap();
+    std::fs::remove_file(&image).unwrap();
+    assert_says(&into(&root.path().join("new")).unwrap_err().to_string(), &["v1.exr"]);
+    assert_eq!(std::fs::read_dir(root.path()).unwrap().count(), 0);
+    // Negative control: with the image, it is all there.
+    std::fs::write(&image, before).unwrap();
+    into(&root.path().join("new")).unwrap();
+    assert!(root.path().join("new/hdr/v1.exr").is_file() && root.path().join("new/transforms.json").is_file());
 }
 
 #[test]

@@ -1,0 +1,65 @@
+//! What to tell the user where bounces ended too early.
+
+use super::{Model, Solved, listed};
+
+/// A bounce that brings this share of the light of the one before is as bright as that: noise hides the rest.
+const STEADY: f64 = 0.99;
+
+/// Materials that reflect this much are named where bounces do not end.
+const NEARLY_WHITE: f32 = 0.95;
+
+impl Solved {
+    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where their number was
+    /// `asked` for, only that more of them would not help.
+    pub fn unfinished(&self, model: &Model, tolerance: f32, asked: bool) -> Option<String> {
+        let steady = is_steady(&self.series);
+        // No tolerance at all asks for as many bounces as are allowed.
+        if self.remainder <= f64::from(tolerance) || (!steady && (asked || tolerance == 0.0)) {
+            return None;
+        }
+        let (bounces, white) = (self.series.len() - 1, model.reflecting(NEARLY_WHITE));
+        if steady {
+            // Light that stays for a while, and would die away after more bounces than were asked for.
+            return (!asked || !white.is_empty()).then(|| {
+                format!(
+                    "bounces do not converge: after {bounces}, each still brings about as much light as the one before, and the \
+                     map depends on where they end; {}",
+                    darken(&white)
+                )
+            });
+        }
+        let share = 100.0 * self.remainder;
+        let share = if share.is_finite() { format!("about {share:.2} %") } else { "an unknown share".to_owned() };
+        let reason = if white.is_empty() { String::new() } else { format!("; {}", darken(&white)) };
+        Some(format!(
+            "{bounces} bounces leave out {share} of all light, where --tolerance is {tolerance}: allow more with --bounces{reason}"
+        ))
+    }
+}
+
+/// What to do about materials by their names.
+fn darken(white: &[String]) -> String {
+    let these = if white.is_empty() { "what reflects nearly all light".to_owned() } else { listed(white) };
+    format!("give {these} a darker base colour: white paint reflects 0.8")
+}
+
+/// Whether the last two bounces brought no less light than those before them.
+fn is_steady(series: &[f64]) -> bool {
+    match series {
+        [.., a, b, c] => *c > 0.0 && *b >= STEADY * a && *c >= STEADY * b,
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_steady;
+
+    #[test]
+    fn light_that_stays_is_told_from_light_that_dies_away() {
+        assert!(is_steady(&[5.0, 1.0, 1.0, 0.999]) && is_steady(&[1.0, 1.1, 1.2]));
+        assert!(!is_steady(&[1.0, 0.9, 0.81]) && !is_steady(&[1.0, 1.0, 0.5]) && !is_steady(&[0.0, 0.0, 0.0]));
+        // Light that finds its way around a corner first: two are too few to tell.
+        assert!(!is_steady(&[1.0, 2.0]) && !is_steady(&[1.0, 2.0, 1.5]));
+    }
+}
