@@ -9,7 +9,7 @@ use crate::image_io::{write_gray, write_png_labels, write_rgb};
 use crate::mesh_io::obj;
 use crate::progress::Progress;
 
-/// All that [`write`] leaves in a folder.
+/// All that [`write()`] leaves in a folder.
 pub const FILES: [&str; 13] = [
     "transforms.json",
     "mesh.obj",
