@@ -13,6 +13,8 @@ struct LightDensity {
     // Density per square metre of points on the primitive once its cluster is chosen; 0 for what is no light.
     per_area: f32,
     cluster: u32,
+    // 1 where its back is black, 0 where either side shows the same radiance.
+    front_only: u32,
 }
 
 // Cubic cells of the scene's surface, times six facings.

@@ -122,12 +122,13 @@ impl Config {
             Mode::Paper => (Mode::Full, "full"),
         };
         let is_idle = |assignment: &&String| {
-            let field = assignment.trim_start().strip_prefix("fit.").and_then(|key| key.split(['.', '=', ' ']).next());
-            field.is_some_and(|field| other.own_settings().contains(&field))
+            let table: Table = assignment.parse().unwrap_or_default();
+            let fields = table.get("fit").and_then(Value::as_table);
+            fields.is_some_and(|fields| other.own_settings().iter().any(|name| fields.contains_key(*name)))
         };
         self.set.iter().find(is_idle).map_or(Ok(()), |idle| {
             Err(Failure::new(format!("--set {idle}: only --mode {name} reads this setting"))
-                .help(format!("leave it out, or add --mode {name}")))
+                .help(format!("leave it out, or choose that mode (--set 'fit.mode=\"{name}\"')")))
         })
     }
 }
@@ -195,10 +196,10 @@ mod tests {
             Config::resolve(&common(&["--set", &format!("fit.mode=\"{mode}\""), "--set", set])).unwrap().check_set()
         };
         for (mode, other, set) in
-            [("full", "paper", "fit.stage_two.enabled=false"), ("paper", "full", "fit.full.alternations = 3")]
+            [("full", "paper", "fit.stage_two.enabled=false"), ("paper", "full", "fit={full={alternations=3}}")]
         {
             let error = format!("{:?}", checked(mode, set).unwrap_err());
-            assert!(error.contains(set) && error.contains(&format!("--mode {other}")), "{error}");
+            assert!(error.contains(set) && error.contains(&format!("fit.mode=\\\"{other}")), "{error}");
             assert!(checked(other, set).is_ok() && checked(mode, "fit.emitter_ratio = 3.0").is_ok());
         }
     }

@@ -53,10 +53,12 @@ pub struct Stage {
 impl Stage {
     /// Prepares to fill `target`, which may exist; missing folders above it are made.
     pub fn new(target: &Path) -> Result<Self> {
+        let round = || Error::cannot_write(target, "it is a symbolic link that leads back to itself");
+        let target = &destination(target).ok_or_else(round)?;
         if target.exists() && !target.is_dir() {
             return Err(Error::file(target, "is a file; expected a folder for the outputs, or a name for a new one"));
         }
-        let (place, side) = if target.is_dir() { (target, "in") } else { (folder_of(target), "beside") };
+        let (place, side) = if target.is_dir() { (target.as_path(), "in") } else { (folder_of(target), "beside") };
         let failed = |e| Error::file(target, format!("cannot be written {side}: {e}"));
         std::fs::create_dir_all(place).map_err(failed)?;
         let folder = tempfile::Builder::new().prefix(".texir-").tempdir_in(place).map_err(failed)?;

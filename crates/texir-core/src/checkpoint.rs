@@ -87,7 +87,6 @@ impl Checkpoints {
     /// `identity` are removed, with a warning. Errors while another run keeps its steps there: the results of both would mix.
     pub fn open(folder: &Path, identity: &str, progress: &dyn Progress) -> Result<Self> {
         let failed = |e| Error::file(folder, format!("cannot be used to keep steps in: {e}"));
-        fs::create_dir_all(folder).map_err(failed)?;
         let lock = lock(folder)?;
         let known = fs::read_to_string(folder.join(IDENTITY)).unwrap_or_default();
         let checkpoints = Self { folder: Some(folder.to_owned()), prefix: String::new(), _lock: Some(Arc::new(lock)) };
@@ -98,7 +97,7 @@ impl Checkpoints {
                     folder.display()
                 ));
             }
-            checkpoints.clear(&[]).map_err(failed)?;
+            checkpoints.clear().map_err(failed)?;
             write_atomic(folder.join(IDENTITY), |sink| std::io::Write::write_all(sink, identity.as_bytes()))?;
         }
         Ok(checkpoints)
@@ -154,22 +153,24 @@ impl Checkpoints {
 
     /// Removes the steps: all is done.
     pub fn finish(self) {
-        // What cannot be removed is in nobody's way.
-        let _ = self.clear(&[LOCK]);
-        let _ = self.folder.as_ref().map(fs::remove_dir);
+        // What cannot be removed is in nobody's way. The lock goes last.
+        let _ = self.clear();
+        if let Some(folder) = &self.folder {
+            let _ = fs::remove_file(folder.join(LOCK));
+            let _ = fs::remove_dir(folder);
+        }
     }
 
     fn file(&self, step: &str) -> Option<PathBuf> {
         Some(self.folder.as_ref()?.join(format!("{}{step}.{ENDING}", self.prefix)))
     }
 
-    /// Removes the steps, and files of `others` names.
-    fn clear(&self, others: &[&str]) -> std::io::Result<()> {
+    /// Removes the steps.
+    fn clear(&self) -> std::io::Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
         for entry in fs::read_dir(folder)? {
             let path = entry?.path();
-            let is_other = others.iter().any(|name| path.ends_with(name));
-            if path.extension().is_some_and(|e| e == ENDING) || path.ends_with(IDENTITY) || is_other {
+            if path.extension().is_some_and(|e| e == ENDING) || path.ends_with(IDENTITY) {
                 fs::remove_file(path)?;
             }
         }
@@ -177,17 +178,35 @@ impl Checkpoints {
     }
 }
 
-/// Locks a folder of steps. Where the disk knows no locks there is none.
+/// Locks a folder of steps, and makes it where it is not there. Where the disk knows no locks there is none.
 fn lock(folder: &Path) -> Result<File> {
     let path = folder.join(LOCK);
-    let file = File::create(&path).map_err(|e| Error::cannot_write(&path, e))?;
-    match file.try_lock() {
-        Err(TryLockError::WouldBlock) => Err(Error::file(
-            folder,
-            "is where another run that is not finished keeps its steps; wait for it, or give this one another --output",
-        )),
-        _ => Ok(file),
+    loop {
+        fs::create_dir_all(folder).map_err(|e| Error::file(folder, format!("cannot be used to keep steps in: {e}")))?;
+        let file = File::create(&path).map_err(|e| Error::cannot_write(&path, e))?;
+        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            let what = "is where another run that is not finished keeps its steps; wait for it, or give this one another --output";
+            return Err(Error::file(folder, what));
+        }
+        // Another run may have finished, and removed it, in between.
+        if is_at(&file, &path) {
+            return Ok(file);
+        }
     }
+}
+
+/// Whether a path still leads to a file that was opened there.
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let same = |a: fs::Metadata, b: fs::Metadata| (a.dev(), a.ino()) == (b.dev(), b.ino());
+    file.metadata().ok().zip(fs::metadata(path).ok()).is_some_and(|(a, b)| same(a, b))
+}
+
+/// Open files are not removed elsewhere.
+#[cfg(not(unix))]
+fn is_at(_: &File, _: &Path) -> bool {
+    true
 }
 
 /// A sum over arrays in the order of their names.

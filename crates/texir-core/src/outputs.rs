@@ -198,11 +198,15 @@ impl Staging {
         self.0.folder()
     }
 
-    /// The folder beside the target where steps towards it are kept.
+    /// The folder where steps towards the target are kept: beside it, or in it where it is there already.
     pub fn partial(&self) -> PathBuf {
-        let mut name = self.0.target().file_name().unwrap_or("texir".as_ref()).to_owned();
+        let target = self.0.target();
+        if target.is_dir() {
+            return target.join("partial");
+        }
+        let mut name = target.file_name().unwrap_or("texir".as_ref()).to_owned();
         name.push(".partial");
-        self.0.target().with_file_name(name)
+        target.with_file_name(name)
     }
 
     /// Moves the files to the target. Files of the layout that an earlier run left there and this one did not make are

@@ -66,7 +66,7 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
         ("irradiance", "LightTriangle", host!(LightTriangle { primitive, cumulative })),
-        ("irradiance", "LightDensity", host!(LightDensity { per_area, cluster })),
+        ("irradiance", "LightDensity", host!(LightDensity { per_area, cluster, front_only })),
         ("irradiance", "LightGrid", host!(LightGrid { origin, per_metre, size, clusters })),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),

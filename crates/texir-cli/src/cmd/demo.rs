@@ -53,26 +53,30 @@ pub struct Demo {
 /// Errors where something is in the place of the capture that no demo has made: it would be lost.
 fn check_replaceable(folder: &Path) -> Result<(), Failure> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
-    let others =
-        entries.flatten().map(|entry| entry.file_name()).find(|name| !demo::FILES.iter().any(|file| name == *file));
-    others.map_or(Ok(()), |other| {
-        Err(Failure::new(format!("{}: holds {}, which no demo has made", folder.display(), other.display()))
-            .help("give another --output, or move it elsewhere: the folder would be replaced"))
-    })
+    let names: Vec<_> = entries.flatten().map(|entry| entry.file_name()).collect();
+    let other = names.iter().find(|name| !demo::FILES.iter().any(|file| *name == file));
+    let missing = demo::FILES.iter().find(|file| !names.iter().any(|name| name == *file));
+    let what = match (other, missing) {
+        (Some(other), _) => format!("holds {}", other.display()),
+        (None, Some(missing)) if !names.is_empty() => format!("holds a capture without {missing}"),
+        _ => return Ok(()),
+    };
+    Err(Failure::new(format!("{}: {what}, which no demo has made", folder.display()))
+        .help("give another --output, or move it elsewhere: the folder would be replaced"))
 }
 
 impl Demo {
     /// Makes the capture, fits it, says where to look.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
+        session.config.check_set()?;
+        check_replaceable(&folder)?;
         let staging = Staging::new(&out)?;
         let mut config = session.config.clone();
-        config.check_set()?;
         if config.fit.atlas_size == 0 {
             config.fit.atlas_size = ATLAS;
         }
         let session = &Session { config: &config, ..*session };
-        check_replaceable(&folder)?;
         self.make(&folder, session)?;
         let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
         let output = fit::write(staging, &capture, session)?;
@@ -121,10 +125,15 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let folder = root.path().join(CAPTURE);
         assert!(check_replaceable(&folder).is_ok());
-        std::fs::create_dir_all(folder.join("hdr")).unwrap();
-        std::fs::write(folder.join("transforms.json"), "{}").unwrap();
+        std::fs::create_dir_all(&folder).unwrap();
+        assert!(check_replaceable(&folder).is_ok());
+        let refused = || check_replaceable(&folder).unwrap_err().to_string();
+        for name in demo::FILES {
+            std::fs::write(folder.join(name), "").unwrap();
+            assert!(name == demo::FILES[12] || refused().contains("a capture without"), "{name}");
+        }
         assert!(check_replaceable(&folder).is_ok());
         std::fs::write(folder.join("notes.txt"), "mine").unwrap();
-        assert!(check_replaceable(&folder).unwrap_err().to_string().contains("notes.txt"));
+        assert!(refused().contains("notes.txt"));
     }
 }

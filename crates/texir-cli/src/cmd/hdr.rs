@@ -79,7 +79,7 @@ impl Hdr {
             return Err(Failure::new(format!(
                 "{share:.0} % of the pixels differ between the shots by more than their exposures do"
             ))
-            .help("check --times against the order of the shots, and that all show the same"));
+            .help("check --times against the order of the shots, --response against how they are encoded, and that all show the same"));
         }
         write_rgb(&self.output, &radiance)?;
         let summary = Summary {

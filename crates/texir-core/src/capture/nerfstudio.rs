@@ -170,16 +170,24 @@ fn names(path: &Path, frames: &[Frame]) -> Result<Vec<String>> {
     Ok(view_names(frames.iter().map(|frame| frame.file_path.as_str())))
 }
 
+/// A relative path without what stands for the folder itself.
+fn plain(name: &str) -> &str {
+    name.strip_prefix("./").unwrap_or(name)
+}
+
 /// Errors where a list names a file that is no frame's: that frame would be on the wrong side.
 fn check_lists(path: &Path, file: &Transforms) -> Result<()> {
-    let frames: HashSet<&str> = file.frames.iter().map(|frame| frame.file_path.as_str()).collect();
+    if file.frames.iter().all(|frame| frame.split.is_some()) {
+        return Ok(());
+    }
+    let frames: HashSet<&str> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
     let lists = [
         ("train_filenames", &file.train_filenames),
         ("val_filenames", &file.val_filenames),
         ("test_filenames", &file.test_filenames),
     ];
     for (field, names) in lists {
-        if let Some(name) = names.iter().flatten().find(|name| !frames.contains(name.as_str())) {
+        if let Some(name) = names.iter().flatten().find(|name| !frames.contains(plain(name))) {
             return Err(Error::file(path, format!("{field} has {name:?}; expected the file_path of a frame")));
         }
     }
@@ -194,15 +202,16 @@ struct SplitLists<'a> {
 
 impl<'a> SplitLists<'a> {
     fn new(file: &'a Transforms) -> Self {
-        let train = file.train_filenames.as_ref().map(|names| names.iter().map(String::as_str).collect());
-        let held_out = file.val_filenames.iter().chain(&file.test_filenames).flatten().map(String::as_str).collect();
+        let train = file.train_filenames.as_ref().map(|names| names.iter().map(|name| plain(name)).collect());
+        let held_out =
+            file.val_filenames.iter().chain(&file.test_filenames).flatten().map(|name| plain(name)).collect();
         Self { train, held_out }
     }
 
     /// The frame's own `split`; else, with a list of training files, whether it is on it; else whether it is on none of
     /// the lists of held-out files.
     fn of(&self, place: &FrameLocation, frame: &Frame) -> Result<Split> {
-        let name = frame.file_path.as_str();
+        let name = plain(&frame.file_path);
         let train = match (&frame.split, &self.train) {
             (Some(split), _) if split.starts_with("train") => true,
             (Some(split), _) if ["novel", "test", "val", "eval"].iter().any(|s| split.starts_with(s)) => false,

@@ -152,7 +152,7 @@ fn read_channels<const N: usize>(
         let window = image.attributes.display_window;
         let offset = layer.attributes.layer_position - window.position;
         let mut raster = Raster::filled(window.size.width(), window.size.height(), [empty; N]);
-        let beside = names[picked[0]].strip_suffix('R').map(|layer| format!("{layer}A"));
+        let beside = names[picked[0]].strip_suffix(['R', 'Y']).map(|layer| format!("{layer}A"));
         let alpha =
             beside.and_then(|name| channels.iter().find(|c| c.name == *name.as_str() && c.sampling == Vec2(1, 1)));
         let mut opacity = alpha.map(|_| vec![0.0; raster.data.len()]);

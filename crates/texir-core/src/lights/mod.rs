@@ -43,6 +43,8 @@ pub struct LightDensity {
     pub per_area: f32,
     /// The triangle's cluster; 0 for what is no light.
     pub cluster: u32,
+    /// 1 where its back is black, as a light's is; 0 where either side shows the same radiance.
+    pub front_only: u32,
 }
 
 /// Which table belongs to which part of the surface: cubic cells times six facings.
@@ -105,7 +107,8 @@ impl Lights {
             let sum: f32 = weights.iter().sum();
             for (&triangle, cumulative) in cluster.iter().zip(cumulative(&weights)) {
                 let per_area = luminance[triangle as usize] / sum;
-                lights.density[triangle as usize] = LightDensity { per_area, cluster: powers.len() as u32 };
+                lights.density[triangle as usize] =
+                    LightDensity { per_area, cluster: powers.len() as u32, front_only: 1 };
                 lights.triangles.push(LightTriangle { triangle, cumulative });
             }
             lights.clusters.push(lights.triangles.len() as u32);
@@ -237,27 +240,30 @@ impl<'a> Finder<'a> {
         self.taken += points.len();
     }
 
-    /// All that shines in a map of nothing but emission.
+    /// The lights of a map of nothing but emission: what is too dim to be one shines from its front alone as well.
     pub fn emitters(self) -> Lights {
         let luminance = self.mean_luminance();
-        self.sampled(&luminance)
+        let mut lights = self.bright(luminance.clone());
+        let shining = lights.density.iter_mut().zip(luminance).filter(|(_, luminance)| *luminance > 0.0);
+        shining.for_each(|(density, _)| density.front_only = 1);
+        lights
     }
 
     /// See [`Lights::find`].
     pub fn find(self) -> Lights {
+        let luminance = self.mean_luminance();
+        self.bright(luminance)
+    }
+
+    /// The triangles that stand out among those of this luminance, sampled where they are seen.
+    fn bright(self, mut luminance: Vec<f32>) -> Lights {
         let mesh = &self.scene.mesh;
         let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
-        let mut luminance = self.mean_luminance();
         let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();
         let total: f64 = luminance.iter().zip(&area).map(|(&l, &a)| f64::from(l * a)).sum();
         let threshold = CONTRAST * (total / total_area) as f32;
         luminance.iter_mut().filter(|l| !(**l > threshold)).for_each(|l| *l = 0.0);
-        self.sampled(&luminance)
-    }
-
-    /// Triangles of this luminance, sampled where they are seen.
-    fn sampled(&self, luminance: &[f32]) -> Lights {
-        learn::learn(Lights::by_power(&self.scene.mesh, luminance), self.scene, &self.chosen)
+        learn::learn(Lights::by_power(mesh, &luminance), self.scene, &self.chosen)
     }
 
     /// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.

@@ -86,6 +86,10 @@ fn read(folder: &Path, ids: &str, poses: &str, split: Split) -> Result<Vec<Shot>
         let pose = numbers::pose(&poses_path, &format!("the matrix of view {id}"), matrix)?;
         let image = folder.join("hdr").join(id).join("ccm.hdr");
         let (width, height) = read_size(&image)?;
+        if width != 2 * height {
+            let what = format!("is {width}×{height} pixels; expected a full panorama, twice as wide as high");
+            return Err(Error::file(&image, what));
+        }
         let world_from_camera = super::frame::opengl_from_opencv(pose).as_mat4();
         let camera = Camera { projection: Projection::Equirectangular, width, height, world_from_camera };
         let derived = |name: &str| Some(folder.join("derived").join(id).join(name)).filter(|path| path.is_file());

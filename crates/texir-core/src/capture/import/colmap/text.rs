@@ -75,14 +75,13 @@ pub(super) fn images(path: &Path) -> Result<Vec<Image>> {
             return Err(place.error("NAME is missing; is the file cut off?"));
         }
         images.push(Image { camera_id, camera_from_world: [w, x, y, z], translation, name });
-        // X, Y and POINT3D_ID of every point, or nothing.
-        if let Some((place, points)) = lines.next() {
-            let words = || points.split_whitespace();
-            if words().count() % 3 != 0 || words().any(|word| word.parse::<f64>().is_err()) {
-                return Err(place.error(format!(
-                    "{points:?} is no line of points (X, Y, POINT3D_ID); expected one after the line of each image, empty where there are none"
-                )));
-            }
+        // X, Y and POINT3D_ID of every point, or nothing. The last line may be cut off: no pose is lost by that.
+        if let Some((place, points)) = lines.next()
+            && let Some(word) = points.split_whitespace().find(|word| word.parse::<f64>().is_err())
+        {
+            return Err(place.error(format!(
+                "{word:?} stands in a line of points (X, Y, POINT3D_ID); expected one after the line of each image, empty where there are none"
+            )));
         }
     }
     Ok(images)
