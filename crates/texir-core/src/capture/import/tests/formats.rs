@@ -106,7 +106,12 @@ fn damaged_colmap_models_are_errors() {
         ("cameras.txt", "7 SIMPLE", "8 SIMPLE", ["images.txt", "camera 7", "cameras.txt"]),
         ("images.txt", " 7 photo 0", " seven photo 0", ["line 2", "CAMERA_ID", "seven"]),
         ("images.txt", " 7 photo 0.jpg", " 7", ["line 2", "NAME", "cut off"]),
-        ("images.txt", "photo 0.jpg\n\n", "photo 0.jpg\n", ["line 3", "photo 1.jpg", "empty where there are none"]),
+        (
+            "images.txt",
+            "photo 0.jpg\n\n",
+            "photo 0.jpg\n",
+            ["line 3", "\"photo\" stands", "empty where there are none"],
+        ),
     ] {
         let path = folder.path().join("sparse/0").join(name);
         let text = std::fs::read_to_string(&path).unwrap();
