@@ -192,6 +192,25 @@ fn perspective_cameras_survive_a_round_trip_and_need_no_images() {
 }
 
 #[test]
+fn the_example_of_the_documentation_is_read() {
+    let page = include_str!("../../../../docs/files.md");
+    let example = page.split("```").find_map(|block| block.strip_prefix("json")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    std::fs::write(&path, example).unwrap();
+    let views = nerfstudio::read_transforms(&path).unwrap();
+    assert_eq!(views.len(), 2);
+    for (view, [x, y, z]) in views.iter().zip([[2.1, 0.4, 1.5], [4.7, 0.9, 1.5]]) {
+        let Camera { width, height, .. } = view.camera;
+        assert!(view.camera.position().abs_diff_eq(Vec3::new(x, y, z), 1e-6) && view.split == Split::Train);
+        // Upright, looking along +Y.
+        let ahead = view.camera.direction(width as f32 / 2.0, height as f32 / 2.0);
+        let above = view.camera.direction(width as f32 / 2.0, height as f32 / 4.0);
+        assert!(ahead.abs_diff_eq(Vec3::Y, 1e-5) && above.z > 0.1, "{ahead} {above}");
+    }
+}
+
+#[test]
 fn intrinsics_may_stand_in_the_file_or_in_the_frame_and_lists_split() {
     let identity = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]);
     let document = json!({
