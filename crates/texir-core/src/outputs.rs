@@ -5,6 +5,8 @@ mod edited;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use crate::atomic_file::{Stage, write_atomic};
 use crate::brdf::Masking;
 use crate::capture::Tbl;
@@ -18,7 +20,6 @@ use crate::progress::Progress;
 use crate::raster::{Gray, Rgb};
 use crate::render::Textures;
 use crate::text_file::read_text;
-use serde::{Deserialize, Serialize};
 
 /// Linear albedo, OpenEXR.
 pub const ALBEDO: &str = "albedo.exr";
