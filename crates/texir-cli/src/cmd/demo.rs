@@ -8,12 +8,15 @@ use texir_core::capture::{self, LoadOptions};
 use texir_core::demo::{self, Flat, FlatOptions, PaintStyle, RenderOptions, ShotOptions};
 use texir_core::outputs::{REPORT, SCENE, Staging};
 
-use super::{Session, fit, report};
+use super::{Session, fit};
 use crate::failure::Failure;
 use crate::figures;
 
 /// Folder of the capture within the demo's.
 const CAPTURE: &str = "capture";
+
+/// What the capture was made from; in its folder, beside what [`demo::write`] leaves there.
+const RECIPE: &str = "demo.txt";
 
 /// Folder of the fit within the demo's.
 const FIT: &str = "fit";
@@ -54,7 +57,7 @@ pub struct Demo {
 fn check_replaceable(folder: &Path) -> Result<(), Failure> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
     let names: Vec<_> = entries.flatten().map(|entry| entry.file_name()).collect();
-    let other = names.iter().find(|name| !demo::FILES.iter().any(|file| *name == file));
+    let other = names.iter().find(|name| *name != RECIPE && !demo::FILES.iter().any(|file| *name == file));
     let missing = demo::FILES.iter().find(|file| !names.iter().any(|name| name == *file));
     let what = match (other, missing) {
         (Some(other), _) => format!("holds {}", other.display()),
@@ -77,10 +80,10 @@ impl Demo {
             config.fit.atlas_size = ATLAS;
         }
         let session = &Session { config: &config, ..*session };
-        self.make(&folder, session)?;
+        self.make(&folder, staging.partial().is_dir(), session)?;
         let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
         let output = fit::write(staging, &capture, session)?;
-        let evaluation = report::publish(&out, &output, &capture, RAYS, session)?;
+        let evaluation = fit::evaluate(&out, &output, &capture, RAYS, session)?;
         session.print(&evaluation, || {
             let line = |what: &str, path: PathBuf| format!("{what:<12}{}", path.display());
             [
@@ -95,20 +98,29 @@ impl Demo {
         })
     }
 
-    /// Generates and renders the flat, and puts the capture in place of an earlier one once it is whole.
-    fn make(&self, folder: &Path, session: &Session<'_>) -> Result<(), Failure> {
+    /// Generates and renders the flat, and puts the capture in place of an earlier one once it is whole; unless a fit `was_stopped`
+    /// of just this capture, which goes on then.
+    fn make(&self, folder: &Path, was_stopped: bool, session: &Session<'_>) -> Result<(), Failure> {
         let seed = u64::from(session.config.fit.seed) + 1;
         let paint = if self.plain { PaintStyle::Plain } else { PaintStyle::Patterned };
         let Self { rooms, roughness_variation, .. } = *self;
-        let flat = Flat::generate(&FlatOptions { seed, rooms, paint, roughness_variation, atlas: ATLAS })?;
+        let of_flat = FlatOptions { seed, rooms, paint, roughness_variation, atlas: ATLAS };
         let (train, novel) = (self.views, self.views.div_ceil(TRAIN_PER_NOVEL));
-        let shots = demo::shots(&flat, &ShotOptions { seed, train, novel, ..ShotOptions::default() })?;
-        let options = RenderOptions { seed, ..RenderOptions::default() };
-        let rendered = demo::render(&flat, &shots, &options, session.console)?;
+        let of_shots = ShotOptions { seed, train, novel, ..ShotOptions::default() };
+        let of_views = RenderOptions { seed, ..RenderOptions::default() };
+        let recipe = format!("texir {}\n{of_flat:?}\n{of_shots:?}\n{of_views:?}\n", env!("CARGO_PKG_VERSION"));
+        if was_stopped && std::fs::read_to_string(folder.join(RECIPE)).is_ok_and(|made| made == recipe) {
+            session.console.note(&format!("{:>24}  {}", "made already", folder.display()));
+            return Ok(());
+        }
+        let flat = Flat::generate(&of_flat)?;
+        let shots = demo::shots(&flat, &of_shots, session.console)?;
+        let rendered = demo::render(&flat, &shots, &of_views, session.console)?;
         let failed = |e: std::io::Error| Failure::new(format!("{}: cannot be written: {e}", folder.display()));
         let fresh = TempDir::with_prefix_in(".texir-", &self.output).map_err(failed)?;
         let made = fresh.path().join(CAPTURE);
         demo::write(&flat, &rendered, &made, session.console)?;
+        std::fs::write(made.join(RECIPE), recipe).map_err(failed)?;
         if folder.exists() {
             std::fs::rename(folder, fresh.path().join("earlier")).map_err(failed)?;
         }
@@ -132,6 +144,7 @@ mod tests {
             std::fs::write(folder.join(name), "").unwrap();
             assert!(demo::FILES.last() == Some(&name) || refused().contains("a capture without"), "{name}");
         }
+        std::fs::write(folder.join(RECIPE), "").unwrap();
         assert!(check_replaceable(&folder).is_ok());
         std::fs::write(folder.join("notes.txt"), "mine").unwrap();
         assert!(refused().contains("notes.txt"));

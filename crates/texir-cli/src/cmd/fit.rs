@@ -9,7 +9,7 @@ use serde::Serialize;
 use texir_core::atomic_file::write_atomic;
 use texir_core::capture::Capture;
 use texir_core::checkpoint::Checkpoints;
-use texir_core::eval::check_sizes;
+use texir_core::eval::{Evaluation, check_sizes};
 use texir_core::fit::{self, EpochLog, FitResult};
 use texir_core::outputs::{CORRECTIONS, FitOutput, LOG, REPORT, ROOMS, RUN, Run, SCENE, SETTINGS, Staging};
 use texir_core::scene::Scene;
@@ -94,13 +94,24 @@ impl Fit {
             let written = Written { output: self.output.clone(), scene: self.output.join(SCENE) };
             return session.print(&written, || written.output.display().to_string());
         }
-        let evaluation = report::publish(&self.output, &output, &capture, eval::RAYS, session).inspect_err(|_| {
-            let what = format!("what is fitted is there; texir report {} evaluates it", self.output.display());
-            session.console.note(&format!("{:>24}  {what}", "not evaluated"));
-        })?;
+        let evaluation = evaluate(&self.output, &output, &capture, eval::RAYS, session)?;
         session
             .print(&evaluation, || format!("{}\n\n{}", figures::text(&evaluation), self.output.join(REPORT).display()))
     }
+}
+
+/// Evaluates what was fitted, beside it; where that is stopped, says how it goes on.
+pub fn evaluate(
+    out: &Path,
+    output: &FitOutput,
+    capture: &Capture,
+    rays: u32,
+    session: &Session<'_>,
+) -> Result<Evaluation, Failure> {
+    report::publish(out, output, capture, rays, session).inspect_err(|_| {
+        let what = format!("what is fitted is there; texir report {} evaluates it", out.display());
+        session.console.note(&format!("{:>24}  {what}", "not evaluated"));
+    })
 }
 
 /// Fits a capture and puts the result where `staging` leads.

@@ -8,6 +8,7 @@ use super::{Flat, Room};
 use crate::camera::{Camera, Projection};
 use crate::capture::Split;
 use crate::error::{Error, Result};
+use crate::progress::Progress;
 
 /// Height of cameras above the floor, metres.
 const HEIGHT: (f32, f32) = (1.2, 1.7);
@@ -51,7 +52,7 @@ pub struct Shot {
 }
 
 /// Places panoramas in all rooms, away from surfaces and from each other. Training views come first.
-pub fn shots(flat: &Flat, options: &ShotOptions) -> Result<Vec<Shot>> {
+pub fn shots(flat: &Flat, options: &ShotOptions, progress: &dyn Progress) -> Result<Vec<Shot>> {
     if options.train < flat.rooms.len() || options.height == 0 {
         let (rooms, train, height) = (flat.rooms.len(), options.train, options.height);
         return Err(Error::invalid(format!(
@@ -61,8 +62,10 @@ pub fn shots(flat: &Flat, options: &ShotOptions) -> Result<Vec<Shot>> {
     let world = World::new(flat)?;
     let mut random = Random::new(options.seed, 3);
     let mut all: Vec<Shot> = Vec::new();
+    progress.start("demo: cameras", (options.train + options.novel) as u64, "views");
     for (split, count) in [(Split::Train, options.train), (Split::Novel, options.novel)] {
         for room in share(&flat.rooms, count) {
+            progress.check()?;
             let position = place(&world, room, &all, &mut random)?;
             let tilt = || (TILT / 3.0f32.sqrt()).to_radians();
             let (yaw, pitch, roll) = (
@@ -84,8 +87,10 @@ pub fn shots(flat: &Flat, options: &ShotOptions) -> Result<Vec<Shot>> {
             };
             let name = format!("pano_{:03}", all.len());
             all.push(Shot { name, camera, split, room_id: room.id });
+            progress.advance(1);
         }
     }
+    progress.finish();
     Ok(all)
 }
 

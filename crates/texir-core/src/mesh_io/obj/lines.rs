@@ -5,6 +5,9 @@
 use std::io::{BufRead, Error, Read, Result};
 use std::str::SplitWhitespace;
 
+/// What begins lines whose rest is a name, which, like comments, some programs write in their country's code page.
+const NAMING: [&[u8]; 5] = [b"g", b"o", b"s", b"usemtl", b"mtllib"];
+
 /// What faces name.
 const NAMES: [&str; 3] = ["v", "vt", "vn"];
 
@@ -64,6 +67,10 @@ impl<R: BufRead> Lines<R> {
             return self.wrong_index().map_or(Ok(()), |wrong| Err(Error::other(wrong)));
         }
         self.number += 1;
+        let first = self.line.split(u8::is_ascii_whitespace).find(|word| !word.is_empty()).unwrap_or_default();
+        if first.starts_with(b"#") || NAMING.contains(&first) {
+            self.line = String::from_utf8_lossy(&self.line).into_owned().into_bytes();
+        }
         // What is no text, the parser refuses.
         let mut words = str::from_utf8(&self.line).unwrap_or_default().split_whitespace();
         let Some(first) = words.next() else { return Ok(()) };
