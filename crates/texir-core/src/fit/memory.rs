@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn the_estimate_is_above_what_was_measured_but_not_far() {
-        // docs/performance.md, "Memory": atlas, pixels, triangles, vertices, MiB at most.
+        // docs/performance.md, "Memory of a fit": atlas, pixels, triangles, vertices, MiB at most.
         for (side, pixels, triangles, vertices, measured) in
             [(2048, 24 * 512 * 256, 132_210, 82_171, 1857), (1024, 12 * 256 * 128, 54_484, 35_941, 434)]
         {

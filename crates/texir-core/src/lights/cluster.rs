@@ -6,7 +6,7 @@ use super::facing;
 use crate::mesh::{Mesh, bounds};
 
 /// Most clusters of a scene. Fewer make a table a worse fit; more cost memory and shadow rays, and leave each too few samples
-/// to spread well (docs/performance.md).
+/// to spread well (docs/irradiance.md).
 const CLUSTERS: usize = 256;
 
 /// Splits the triangles by facing, then at half of the power along the longest axis, the cluster of greatest power × extent
