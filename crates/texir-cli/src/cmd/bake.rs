@@ -179,29 +179,24 @@ impl Bake {
         // Two halves of each kind of rays, where noise is told from what they differ by.
         let kinds = if self.cosine_only { 1 } else { 2 };
         let halved = self.error.is_some() || self.stderr || !self.no_denoise;
-        let rays = if halved && self.spp >= 2 * kinds { self.spp.next_multiple_of(2 * kinds) } else { self.spp };
+        let rays = if halved { self.spp.next_multiple_of(2 * kinds) } else { self.spp };
         let light = if self.cosine_only { 0 } else { rays / 2 };
         let gather = Gather::new(rays - light, light, session.config.fit.seed);
         if let Some(error) = self.error.filter(|error| !(*error > 0.0 && *error < 1.0)) {
             let what = "it must be a share of a texel's luminance, above 0 and below 1: 0.02 is 2 %";
             return Err(Failure::new(format!("--error is {error}; {what}")));
         }
-        let halves = gather.cosine >= 2;
-        if (self.error.is_some() || self.stderr) && !halves {
-            return Err(Failure::new(format!("--spp {} is too few to tell an error from", self.spp))
-                .help("give --spp at least 4, or leave --error and --stderr out"));
-        }
         let error = self.error.or(self.stderr.then_some(0.0));
-        Ok(Quality { gather, error, denoise: self.denoiser(halves) })
+        Ok(Quality { gather, error, denoise: self.denoiser() })
     }
 
-    /// What removes the noise; regression takes two halves of the rays.
-    fn denoiser(&self, halves: bool) -> Option<Denoiser> {
+    /// What removes the noise.
+    fn denoiser(&self) -> Option<Denoiser> {
         #[cfg(feature = "oidn")]
         if self.oidn {
             return Some(Denoiser::OpenImageDenoise);
         }
-        (!self.no_denoise && halves).then_some(Denoiser::Regression)
+        (!self.no_denoise).then_some(Denoiser::Regression)
     }
 
     /// Writes the map, and what `--stderr` asks for, some rows at a time.

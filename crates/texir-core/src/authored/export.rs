@@ -4,6 +4,7 @@
 //! Engines look for a lightmap in TEXCOORD_1. Where that set of the file is another, it and those after it move up by one,
 //! and the materials' references with them.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use glam::Vec2;
@@ -21,9 +22,6 @@ use crate::image_io::encode_hdr;
 use crate::mesh::Mesh;
 use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::raster::Rgb;
-
-/// Extensions of the source that are kept, by prefix: those of materials and images.
-const KEPT: [&str; 3] = ["KHR_materials_", "KHR_texture_", "EXT_texture_"];
 
 /// The TEXCOORD where engines look for a lightmap.
 const LIGHTMAP_SET: usize = 1;
@@ -55,9 +53,6 @@ pub fn write_lightmapped_glb(
     root.materials = materials
         .collect::<serde_json::Result<_>>()
         .map_err(|e| Error::file(source, format!("a material cannot be written again: {e}")))?;
-    let kept = |names: Vec<String>| names.into_iter().filter(|n| KEPT.iter().any(|prefix| n.starts_with(prefix)));
-    root.extensions_used.extend(kept(from.extensions_used));
-    root.extensions_required.extend(kept(from.extensions_required));
     let mut default = None;
     if let Some(irradiance) = attached {
         // What has no material has nothing to carry a lightmap: it takes glTF's default material in words.
@@ -77,7 +72,29 @@ pub fn write_lightmapped_glb(
     }
     let scene = Scene { nodes, name: Some("lightmapped".to_owned()), extensions: None, extras: None };
     builder.root.scene = Some(builder.root.push(scene));
+    let mut used = BTreeSet::new();
+    let written = serde_json::to_value(&builder.root);
+    extensions(&written.map_err(|e| Error::file(path, format!("the scene cannot be written: {e}")))?, &mut used);
+    builder.root.extensions_required =
+        from.extensions_required.into_iter().filter(|name| used.contains(name)).collect();
+    builder.root.extensions_used = used.into_iter().collect();
     builder.write(path)
+}
+
+/// The extensions that a document holds, but for what applications keep for themselves.
+fn extensions(json: &Value, found: &mut BTreeSet<String>) {
+    match json {
+        Value::Object(fields) => {
+            for (name, value) in fields.iter().filter(|(name, _)| *name != "extras") {
+                if let (Value::Object(of_it), "extensions") = (value, name.as_str()) {
+                    found.extend(of_it.keys().cloned());
+                }
+                extensions(value, found);
+            }
+        }
+        Value::Array(values) => values.iter().for_each(|value| extensions(value, found)),
+        _ => {}
+    }
 }
 
 /// The material, its textures looked up one set further on, except for those of TEXCOORD_0.
@@ -159,7 +176,6 @@ fn attach(path: &Path, builder: &mut Builder, irradiance: &Rgb) -> Result<()> {
         let extensions = material.extensions.get_or_insert_default();
         extensions.others.insert("MOZ_lightmap".to_owned(), lightmap.clone());
     }
-    builder.root.extensions_used.extend(["MOZ_lightmap", "MOZ_texture_rgbe"].map(str::to_owned));
     Ok(())
 }
 

@@ -12,11 +12,10 @@ use std::path::Path;
 use glam::{Mat4, Vec2, Vec3};
 use gltf::khr_lights_punctual::Kind;
 use gltf::{Document, Material, Node, Semantic};
-use image::RgbImage;
 use rayon::prelude::*;
 
 use super::Surfaces;
-use super::texture::{Colour, Texture, decoded, encoded};
+use super::texture::{Colour, Footprint, Images, Texture, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
@@ -31,7 +30,7 @@ use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::surface::{Hit, SurfacePoint};
 
-/// Points per texel and axis at which materials are looked up: images are finer than lightmaps.
+/// Cells per texel and axis over which materials are looked up: a texel may show several triangles.
 const LOOKUPS: usize = 2;
 
 /// Angles in files may be off by so many radians, from degrees with few digits.
@@ -105,8 +104,7 @@ pub struct Model {
     pub(crate) parts: Vec<Part>,
     /// By document index, glTF's default material last.
     shading: Vec<Shading>,
-    /// By document index; only those that shading needs.
-    images: Vec<Option<RgbImage>>,
+    images: Images,
 }
 
 /// Reads a scene whose lightmap is to have `size` columns.
@@ -146,38 +144,32 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
     if parts.is_empty() {
         return Err(Error::file(path, "has no triangles with an area; expected a scene"));
     }
-    let shading = shading(path, &document, reflected)?;
-    let used = shading.iter().flat_map(|s| [&s.albedo, &s.emission].into_iter().chain(&s.metal));
-    let used = used.filter_map(|c| c.texture.as_ref());
-    let used: Vec<usize> = used.map(|texture| texture.image).collect();
+    let mut images = Images::default();
+    let shading = shading(path, &document, reflected, |image, curve| images.place(path, image, &buffers, curve))?;
     // All come along into the baked scene: what cannot is to be known before the bake.
     document.images().try_for_each(|image| encoded(path, &image, &buffers).map(drop))?;
-    let images = (document.images())
-        .map(|image| used.contains(&image.index()).then(|| decoded(path, &image, &buffers)).transpose())
-        .collect::<Result<_>>()?;
     let mut model =
         Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
-    model.without_coordinates().into_iter().for_each(|what| progress.warn(&format!("{}: {what}", path.display())));
-    model.lay_out(size, progress)?;
-    if let Some(what) = model.mesh.misplaced() {
-        progress.warn(&format!("{}: {what}", path.display()));
-    }
+    let mut told = model.without_coordinates();
+    told.extend(model.lay_out(size, progress)?);
+    told.extend(model.turned_away());
+    told.extend(model.mesh.misplaced());
+    told.iter().for_each(|what| progress.warn(&format!("{}: {what}", path.display())));
     Ok(model)
 }
 
 impl Model {
     /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in parts.
     pub fn memory(&self) -> u64 {
-        let images: u64 = self.images.iter().flatten().map(|image| image.as_raw().len() as u64).sum();
         let Mesh { positions, normals, uvs, triangles } = &self.mesh;
         let whole = size_of_val(&positions[..])
             + size_of_val(&normals[..])
             + size_of_val(&uvs[..])
             + size_of_val(&triangles[..]);
-        images + whole as u64 + self.parts.iter().map(Part::memory).sum::<u64>()
+        self.images.memory() + whole as u64 + self.parts.iter().map(Part::memory).sum::<u64>()
     }
 
-    /// What the scene emits and reflects at the texels of its lightmap; the mean over a few points of each.
+    /// What the scene emits and reflects at the texels of its lightmap: the mean over each.
     pub fn surfaces(
         &self,
         backend: &mut dyn Backend,
@@ -186,6 +178,7 @@ impl Model {
     ) -> Result<Surfaces> {
         let [width, height] = texels.size();
         let columns = LOOKUPS * width;
+        let cells = Vec2::new(columns as f32, (LOOKUPS * height) as f32);
         let materials = self.materials();
         let [mut albedo, mut emission] = [(); 2].map(|()| Rgb::filled(width, height, [0.0; 3]));
         let mut filled = vec![false; width * height];
@@ -197,7 +190,7 @@ impl Model {
                     (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
                 let found: Vec<&Hit> = points.map(|i| &hits[i]).filter(|hit| hit.is_hit()).collect();
                 let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
-                    let at = self.at(hit, materials[hit.triangle as usize]);
+                    let at = self.over(hit, cells, materials[hit.triangle as usize]);
                     [sum[0] + at[0], sum[1] + at[1]]
                 });
                 sum.map(|sum| (sum / found.len().max(1) as f32).to_array())
@@ -232,6 +225,22 @@ impl Model {
             )
         };
         lacking.into_iter().map(sentence).collect()
+    }
+
+    /// What to tell the user of triangles whose normals all point away from their front.
+    pub(super) fn turned_away(&self) -> Option<String> {
+        let away = |triangle: &u32| {
+            let front = self.mesh.face_normal(*triangle);
+            self.mesh.corner_normals(*triangle).iter().all(|normal| normal.dot(front) < 0.0)
+        };
+        let all = 0..self.mesh.triangles.len() as u32;
+        let count = all.filter(away).count();
+        (count > 0).then(|| {
+            format!(
+                "{count} triangles have normals that point away from where their corners run counter-clockwise: they take light on the \
+                 side of their normals, and shine from the other; turn either around"
+            )
+        })
     }
 
     /// Names of the materials in the scene that reflect at least a `share` of the light in some channel, on average.
@@ -272,16 +281,15 @@ impl Model {
         all
     }
 
-    /// Albedo and emission at a point.
-    fn at(&self, hit: &Hit, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
+    /// Albedo and emission, the mean over the cell around a hit, of a map of so many `cells`.
+    fn over(&self, hit: &Hit, cells: Vec2, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
+        let footprint = Footprint::new(hit, self.mesh.corner_uvs(hit.triangle).map(|uv| uv * cells));
         let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
-        let uv = |set: usize| {
-            let uvs = self.parts[part].uvs.get(set)?;
-            Some(hit.interpolate(corners.map(|i| uvs[i])))
-        };
+        let of_set = |set: usize| self.parts[part].uvs.get(set).map(|uvs| corners.map(|i| uvs[i]));
+        let of = |colour: &Colour| colour.over(&footprint, of_set, &self.images);
         let Shading { albedo, emission, metal, .. } = &self.shading[shading];
-        let specular = metal.as_ref().map_or(0.0, |metal| DIELECTRIC_SPECULAR * (1.0 - metal.at(uv, &self.images).z));
-        [(albedo.at(uv, &self.images) + specular).clamp(Vec3::ZERO, Vec3::ONE), emission.at(uv, &self.images)]
+        let specular = metal.as_ref().map_or(0.0, |metal| DIELECTRIC_SPECULAR * (1.0 - of(metal).z));
+        [(of(albedo) + specular).clamp(Vec3::ZERO, Vec3::ONE), of(emission)]
     }
 }
 
@@ -325,15 +333,23 @@ impl Part {
     }
 }
 
-/// All materials of the document, then glTF's default.
-fn shading(path: &Path, document: &Document, reflected: Reflected) -> Result<Vec<Shading>> {
-    let texture = |info: Option<gltf::texture::Info>| info.map(|info| Texture::new(&info));
-    let srgb = |factor, texture| Colour { factor, texture, curve: TransferCurve::Srgb };
-    let of = |material: Material| -> Result<Shading> {
+/// All materials of the document, then glTF's default. `place` gives every image that they use its place in [`Images`].
+fn shading(
+    path: &Path,
+    document: &Document,
+    reflected: Reflected,
+    mut place: impl FnMut(&gltf::Image, TransferCurve) -> Result<usize>,
+) -> Result<Vec<Shading>> {
+    let mut colour = |factor: Vec3, info: Option<gltf::texture::Info>, curve: TransferCurve| {
+        let texture = |info: gltf::texture::Info| Ok(Texture::new(&info, place(&info.texture().source(), curve)?));
+        Ok(Colour { factor, texture: info.map(texture).transpose()? })
+    };
+    let mut of = |material: Material| -> Result<Shading> {
         let base = material.pbr_metallic_roughness();
         let [r, g, b, _] = base.base_color_factor();
         let name = material.name().map(|name| format!("\"{name}\""));
         let name = name.or_else(|| Some(format!("material {}", material.index()?))).unwrap_or_default();
+        let metallic = Vec3::splat(base.metallic_factor());
         let strength = material.emissive_strength().unwrap_or(1.0);
         let emitted = Vec3::from(material.emissive_factor()) * strength;
         if !(emitted.min_element() >= 0.0 && emitted.is_finite() && Vec3::new(r, g, b).is_finite()) {
@@ -344,18 +360,17 @@ fn shading(path: &Path, document: &Document, reflected: Reflected) -> Result<Vec
         }
         Ok(Shading {
             name,
-            albedo: srgb(Vec3::new(r, g, b), texture(base.base_color_texture())),
-            emission: srgb(emitted, texture(material.emissive_texture())),
-            metal: (reflected == Reflected::InAll).then(|| Colour {
-                factor: Vec3::splat(base.metallic_factor()),
-                texture: texture(base.metallic_roughness_texture()),
-                curve: TransferCurve::Linear,
-            }),
+            albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
+            emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
+            metal: match reflected {
+                Reflected::InAll => Some(colour(metallic, base.metallic_roughness_texture(), TransferCurve::Linear)?),
+                Reflected::Diffusely => None,
+            },
             double_sided: material.double_sided(),
         })
     };
-    let [black, white] = [Vec3::ZERO, Vec3::ONE].map(|factor| srgb(factor, None));
-    let mut all: Vec<Shading> = document.materials().map(of).collect::<Result<_>>()?;
+    let mut all: Vec<Shading> = document.materials().map(&mut of).collect::<Result<_>>()?;
+    let [black, white] = [Vec3::ZERO, Vec3::ONE].map(|factor| Colour { factor, texture: None });
     let name = "glTF's default (of primitives without a material)".to_owned();
     // A metal, and so white as it is.
     all.push(Shading { name, albedo: white, emission: black, metal: None, double_sided: false });

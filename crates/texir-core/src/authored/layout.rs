@@ -16,15 +16,23 @@ const OVERLAP: f64 = 1e-3;
 const TEST_SIZE: usize = 2048;
 
 impl Model {
-    /// Chooses the lightmap's coordinates, and joins the parts.
-    pub(super) fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<()> {
+    /// Chooses the lightmap's coordinates, and joins the parts. Says why, where the file brings coordinates for one that are not taken.
+    pub(super) fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<Option<String>> {
+        let mut why_not = None;
         for set in [1, 0] {
-            if self.parts.iter().all(|part| part.has_uvs.get(set) == Some(&true)) {
+            let lacking: Vec<&Part> = self.parts.iter().filter(|part| part.has_uvs.get(set) != Some(&true)).collect();
+            if lacking.is_empty() {
                 self.mesh = joined(&self.parts, self.parts.iter().map(|part| part.uvs[set].as_slice()));
-                if is_lightmap(&self.mesh) {
+                let Some(reason) = no_lightmap(&self.mesh) else {
                     self.lightmap_set = Some(set);
-                    return Ok(());
-                }
+                    let instead = |why: String| format!("{why}: TEXCOORD_0 is taken, which is one");
+                    return Ok(why_not.map(instead));
+                };
+                why_not = why_not.or((set == 1).then(|| format!("TEXCOORD_1 is no lightmap's, as {reason}")));
+            } else if set == 1 && lacking.len() < self.parts.len() {
+                let (count, name) = (lacking.len(), &lacking[0].name);
+                why_not =
+                    Some(format!("TEXCOORD_1 is no lightmap's, as {count} primitives lack it (\"{name}\" the first)"));
             }
         }
         if size < SMALLEST_SIDE {
@@ -48,21 +56,26 @@ impl Model {
             part.triangles.clone_from(&new.triangles);
         }
         self.mesh = joined(&self.parts, unwrapped.surfaces.iter().map(|new| new.uvs.as_slice()));
-        Ok(())
+        Ok(why_not.map(|why| format!("{why}: the scene is unwrapped, and written with its new coordinates")))
     }
 }
 
-/// Whether a mesh's coordinates give every surface a place of its own in [0, 1]².
-fn is_lightmap(mesh: &Mesh) -> bool {
+/// Why a mesh's coordinates do not give every surface a place of its own in [0, 1]²; `None` where they do.
+fn no_lightmap(mesh: &Mesh) -> Option<String> {
     let has_area = |t: u32| {
         let [a, b, c] = mesh.corner_uvs(t);
         (b - a).perp_dot(c - a) != 0.0
     };
-    if !(0..mesh.triangles.len() as u32).all(has_area) {
-        return false;
+    let flat = (0..mesh.triangles.len() as u32).filter(|t| !has_area(*t)).count();
+    if flat > 0 {
+        return Some(format!("{flat} triangles have no area in it"));
     }
     let report = atlas_report(mesh, TEST_SIZE);
-    report.outside_unit_square_triangles == 0 && report.overlapping_fraction <= OVERLAP
+    match report.outside_unit_square_triangles {
+        0 if report.overlapping_fraction <= OVERLAP => None,
+        0 => Some(format!("surfaces share {:.1} % of the texels", 100.0 * report.overlapping_fraction)),
+        outside => Some(format!("{outside} triangles leave [0, 1]")),
+    }
 }
 
 /// All parts as one mesh, with the lightmap's coordinates of each.

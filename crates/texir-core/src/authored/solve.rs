@@ -20,6 +20,9 @@ use crate::rng::hash2;
 /// than this share of the first gather's.
 const FEWEST_RAYS: f64 = 1.0 / 16.0;
 
+/// Below this share of the scene's mean irradiance there is as good as no light: a crack lets as much through.
+pub(super) const DARK: f32 = 0.01;
+
 /// When to stop bouncing, and how to gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounces {
@@ -64,7 +67,7 @@ pub fn irradiance(
     let mut last = direct?;
 
     let mut total = last.copy(texels)?;
-    let mut series = vec![last.mean(texels, &total)?];
+    let mut series = vec![last.mean(texels)?];
     if !series[0].is_finite() {
         return Err(Error::invalid("the scene's light is too strong for numbers; expected radiance below some 1e30"));
     }
@@ -74,14 +77,16 @@ pub fn irradiance(
             break;
         }
         let share = series.last().copied().unwrap_or(0.0) / series[0];
+        total.see_lit(texels, DARK * series.iter().sum::<f64>() as f32)?;
         let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
         drop(last);
         let lights = finder(solver.backend, texels, &sent)?.find();
         last = solver.gather((&sent, &lights), k, share)?;
         total.add(texels, &last)?;
-        series.push(last.mean(texels, &total)?);
+        series.push(last.mean(texels)?);
         remainder = remainder_of(&series);
     }
+    total.see_lit(texels, DARK * series.iter().sum::<f64>() as f32)?;
     Ok(Solved { solution: total, series, remainder })
 }
 

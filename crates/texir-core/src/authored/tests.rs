@@ -8,7 +8,7 @@ use glam::{Mat4, Vec3};
 use gltf::binary::Glb;
 use serde_json::{Value, json};
 
-use super::{Bounces, Reflected, irradiance, read_gltf, unlit, write_lightmapped_glb};
+use super::{Bounces, Reflected, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
 use crate::backend::Gather;
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
@@ -113,12 +113,63 @@ impl Written {
     }
 }
 
+/// An image as PNG, as a data URI.
+fn png_of(image: &Raster<[u8; 3]>) -> String {
+    let mut file = Vec::new();
+    encode_png(image, &mut file).unwrap();
+    format!("data:image/png;base64,{}", BASE64.encode(file))
+}
+
 /// A pixel of PNG, as a data URI.
 fn png() -> String {
-    let mut file = Vec::new();
-    let pixel = Raster { width: 1, height: 1, data: vec![[200u8; 3]] };
-    encode_png(&pixel, &mut file).unwrap();
-    format!("data:image/png;base64,{}", BASE64.encode(file))
+    png_of(&Raster { width: 1, height: 1, data: vec![[200u8; 3]] })
+}
+
+/// What a scene's surfaces are per texel of a map of `size` columns.
+fn surfaces_of(source: &Path, size: usize) -> Surfaces {
+    let model = read_gltf(source, size, Reflected::Diffusely, &Silent).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
+    model.surfaces(&mut backend, &texels, None).unwrap()
+}
+
+#[test]
+fn what_emits_and_reflects_does_not_hang_on_the_size_of_the_map_nor_on_where_points_fall() {
+    // A lamp of small dots, much finer than the map, and a photo repeated on a floor.
+    let folder = tempfile::tempdir().unwrap();
+    let mean =
+        |of: fn(&Surfaces) -> &Rgb, (pixels, period, start): (usize, usize, usize), repeats: f32, size: usize| {
+            let is_lit = |i: usize| (i + pixels - start) % period < 2;
+            let dot = |i: usize| [if is_lit(i % pixels) && is_lit(i / pixels) { 255 } else { 0 }; 3];
+            let image = Raster { width: pixels, height: pixels, data: (0..pixels * pixels).map(dot).collect() };
+            let texture =
+                json!({ "index": 0, "extensions": { "KHR_texture_transform": { "scale": [repeats, repeats] } } });
+            let more = json!({
+                "extensionsUsed": ["KHR_texture_transform"],
+                "images": [{ "uri": png_of(&image) }], "textures": [{ "source": 0 }],
+                "materials": [{
+                    "pbrMetallicRoughness": { "baseColorTexture": texture },
+                    "emissiveTexture": texture, "emissiveFactor": [1.0, 1.0, 1.0],
+                }],
+            });
+            let surfaces = surfaces_of(&write_squares(folder.path(), &[(&[set(1.0, 0.0)], Some(0))], more), size);
+            of(&surfaces).data.iter().map(|v| v[0]).sum::<f32>() / (size * size) as f32
+        };
+    let (emission, albedo): (fn(&Surfaces) -> &Rgb, fn(&Surfaces) -> &Rgb) = (|s| &s.emission, |s| &s.albedo);
+    for start in [0, 4, 7, 8, 12] {
+        for size in [8, 11, 64] {
+            let shone = mean(emission, (128, 16, start), 1.0, size);
+            // Cells on the square's diagonal see one of its triangles, and so half of their part of the image.
+            assert!((shone * 64.0 - 1.0).abs() < 1.0 / size as f32, "from {start}, at {size}: {shone} for 1/64");
+        }
+    }
+    for (pixels, repeats) in [(16, 64.0), (24, 32.0)] {
+        let reflected = mean(albedo, (pixels, 4, 1), repeats, 32);
+        assert!((reflected * 4.0 - 1.0).abs() < 0.03, "{pixels} pixels, {repeats} times: {reflected} for 1/4");
+    }
+    // Where the map is finer than the image, it shows the image.
+    let dots = mean(emission, (8, 8, 3), 1.0, 64);
+    assert!((dots * 16.0 - 1.0).abs() < 0.01, "{dots}");
 }
 
 #[test]
@@ -272,7 +323,7 @@ fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
     let bounces = Bounces { quality, tolerance: 0.005, most };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     let unlit = unlit(&mut backend, &model, &texels, &surfaces, &solved.solution, &Silent).unwrap();
-    [solved.unfinished(&model, bounces.tolerance, asked), unlit]
+    [solved.unfinished(&model, bounces.tolerance, asked), unlit.into_iter().reduce(|a, b| format!("{a}\n{b}"))]
 }
 
 #[test]
@@ -324,7 +375,10 @@ fn extensions_that_matter_are_told_and_others_are_not() {
         "{warning}"
     );
     assert!(!warning.contains("ior") && error.is_none(), "{warning}");
+    // What materials have besides takes nothing from their colours, required or not.
+    assert_eq!(read(&["KHR_materials_sheen"], &["KHR_materials_sheen"]), (vec![], None));
     let advice = [
+        ("KHR_materials_pbrSpecularGlossiness", "metallic-roughness"),
         ("KHR_draco_mesh_compression", "without compression"),
         ("EXT_texture_webp", "PNG or JPEG"),
         ("EXT_mesh_gpu_instancing", "every instance"),
@@ -349,7 +403,8 @@ fn primitives_that_lack_their_textures_coordinates_are_told() {
         let (source, told) =
             (write_squares(folder.path(), &[(sets, Some(0)), (sets, None)], more), Warnings::default());
         read_gltf(source, 16, Reflected::Diffusely, &told).unwrap();
-        told.all()
+        let of_textures = |told: &String| told.contains("textures");
+        told.all().into_iter().filter(of_textures).collect::<Vec<_>>()
     };
     let told = read(&[set(1.0, 0.0); 2]);
     assert!(told.len() == 1 && told[0].contains("scene.gltf: 1 primitives have no TEXCOORD_2"), "{told:?}");
@@ -391,6 +446,85 @@ fn fronts_without_light_are_told_where_their_backs_have_it() {
         let black = told(&cube, within, double_sided).unwrap();
         assert!(black.contains("no light arrives at any surface"), "{black}");
     }
+}
+
+#[test]
+fn what_is_lit_under_a_roof_of_one_sheet_is_not_inside_of_something() {
+    let folder = tempfile::tempdir().unwrap();
+    // Nine metres wide, it faces up: of the floor's rays nearly all meet its back.
+    let wide = Mat4::from_scale_rotation_translation(Vec3::new(9.0, 1.0, 9.0), Default::default(), Vec3::splat(-4.0));
+    let roof = Mat4::from_translation(4.0 * Vec3::Y) * wide;
+    let scene = write_lit(folder.path(), &[(0, Mat4::IDENTITY), (1, roof)], Vec3::new(0.4, 0.5, 0.6), vec![None; 2]);
+    assert_eq!(told(scene, 2, true), [None, None]);
+}
+
+#[test]
+fn double_sided_panels_that_shine_away_from_what_is_lit_are_told() {
+    let told = |double_sided: bool, turn: Mat4| {
+        let folder = tempfile::tempdir().unwrap();
+        let glow = json!({ "emissiveFactor": [1.0, 1.0, 1.0], "doubleSided": double_sided });
+        let panel = Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y);
+        let placed = [(0, Mat4::IDENTITY), (1, panel)];
+        let [_, unlit] = told(write_lit(folder.path(), &placed, Vec3::splat(0.5), vec![None, Some(glow)]), 2, true);
+        unlit
+    };
+    let up = told(true, Mat4::IDENTITY).unwrap();
+    assert!(up.starts_with("double-sided surfaces (1) shine from their fronts alone") && up.contains("node 1"), "{up}");
+    assert!(!up.contains("so that they are black"), "{up}");
+    // Negative controls: it has one side, it shines down.
+    assert_eq!(told(false, Mat4::IDENTITY), None);
+    assert_eq!(told(true, over()), None);
+}
+
+#[test]
+fn coordinates_for_a_lightmap_that_are_not_taken_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let read = |squares: &[(&[Uvs], Option<usize>)]| {
+        let told = Warnings::default();
+        let source = write_squares(folder.path(), squares, json!({}));
+        let model = read_gltf(source, 32, Reflected::Diffusely, &told).unwrap();
+        (told.all(), model.lightmap_set)
+    };
+    let (left, right, flat) = (set(0.4, 0.0), set(0.4, 0.5), [[0.5; 2]; 4]);
+    let expect = |(told, taken): (Vec<String>, Option<usize>), set: Option<usize>, words: &[&str]| {
+        assert_eq!(taken, set, "{told:?}");
+        let [told] = &told[..] else { panic!("one warning, not {told:?}") };
+        words.iter().for_each(|word| assert!(told.contains(word), "{word:?} is not in: {told}"));
+    };
+    let overlapping = read(&[(&[left, left], None), (&[right, left], None)]);
+    expect(overlapping, Some(0), &["scene.gltf: TEXCOORD_1 is no lightmap's", "share", "TEXCOORD_0 is taken"]);
+    expect(read(&[(&[left, set(2.0, 0.0)], None), (&[left, right], None)]), None, &["leave [0, 1]", "unwrapped"]);
+    expect(read(&[(&[left, flat], None), (&[left, right], None)]), None, &["2 triangles have no area"]);
+    expect(read(&[(&[left, left], None), (&[left], None)]), None, &["1 primitives lack it (\"node 1\""]);
+    // Negative controls: one that is taken, and none.
+    assert_eq!(read(&[(&[left, left], None), (&[left, right], None)]), (vec![], Some(1)));
+    assert_eq!(read(&[(&[left], None), (&[left], None)]), (vec![], None));
+}
+
+#[test]
+fn normals_against_the_front_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = write_squares(folder.path(), &[(&[set(1.0, 0.0)], None)], json!({}));
+    let mut model = read_gltf(source, 16, Reflected::Diffusely, &Silent).unwrap();
+    assert_eq!(model.turned_away(), None);
+    model.mesh.normals.iter_mut().for_each(|normal| *normal = -*normal);
+    let told = model.turned_away().unwrap();
+    assert!(told.starts_with("2 triangles have normals that point away"), "{told}");
+}
+
+#[test]
+fn the_baked_scene_says_which_extensions_it_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let more = json!({
+        "extensionsUsed": ["EXT_made_up", "KHR_materials_ior", "KHR_materials_variants"],
+        "extensions": { "KHR_materials_variants": { "variants": [{ "name": "red" }] } },
+        "materials": [{ "extensions": { "EXT_made_up": { "x": 1 }, "KHR_materials_ior": { "ior": 1.4 } } }],
+    });
+    let source = write_squares(folder.path(), &[(&[set(1.0, 0.0)], Some(0))], more);
+    let Written(json, _) = Written::of(&source, true);
+    let used = json!(["EXT_made_up", "KHR_materials_ior", "MOZ_lightmap", "MOZ_texture_rgbe"]);
+    assert_eq!(json["extensionsUsed"], used);
+    assert!(json.get("extensions").is_none(), "{json}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Colours of glTF materials: a factor times an image, looked up bilinearly and made linear.
+//! Colours of glTF materials: a factor times an image, made linear and averaged over what a texel of the lightmap shows of it.
 
 use std::borrow::Cow;
 use std::io::Cursor;
@@ -6,48 +6,71 @@ use std::path::Path;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use glam::{Affine2, DVec3, Vec2, Vec3};
+use glam::{Affine2, Mat2, Vec2, Vec3};
 use gltf::buffer::Data;
 use gltf::image::Source;
 use gltf::texture::{Info, WrappingMode};
+use half::f16;
 use image::{ImageReader, RgbImage};
+use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::image_io::{TransferCurve, limits};
+use crate::raster::Raster;
+use crate::surface::Hit;
+
+/// Most samples along each side of what is looked up: what is wider is looked up in a coarser image.
+const SAMPLES: f32 = 4.0;
 
 /// A factor and the image that it scales.
 pub(super) struct Colour {
     pub factor: Vec3,
     pub texture: Option<Texture>,
-    /// How the image encodes what it holds.
-    pub curve: TransferCurve,
 }
 
 impl Colour {
-    /// Linear RGB at the place that `uv` tells of every set of coordinates; zero in those that it does not know.
-    pub fn at(&self, uv: impl Fn(usize) -> Option<Vec2>, images: &[Option<RgbImage>]) -> Vec3 {
-        let texel = self.texture.as_ref().and_then(|texture| {
-            let uv = uv(texture.set).unwrap_or_default();
-            Some(texture.at(uv, images.get(texture.image)?.as_ref()?, self.curve))
+    /// Linear RGB, the mean over the part of a triangle that a footprint covers. `corners` tells the triangle's coordinates of a set;
+    /// of those that it does not know the image's corner is looked up.
+    pub fn over(&self, footprint: &Footprint, corners: impl Fn(usize) -> Option<[Vec2; 3]>, images: &Images) -> Vec3 {
+        let texel = self.texture.as_ref().map(|texture| {
+            let corners = corners(texture.set).unwrap_or_default();
+            texture.over(footprint, corners, &images.all[texture.image])
         });
         self.factor * texel.unwrap_or(Vec3::ONE)
     }
 
     /// Linear RGB, the mean over the whole image.
-    pub fn mean(&self, images: &[Option<RgbImage>]) -> Vec3 {
-        let image = self.texture.as_ref().and_then(|texture| images.get(texture.image)?.as_ref());
-        let Some(image) = image else { return self.factor };
-        let linear: [f64; 256] = std::array::from_fn(|v| f64::from(decoded_byte(self.curve, v as u8)));
-        let sum =
-            image.pixels().fold(DVec3::ZERO, |sum, pixel| sum + DVec3::from(pixel.0.map(|v| linear[usize::from(v)])));
-        self.factor * (sum / image.pixels().len() as f64).as_vec3()
+    pub fn mean(&self, images: &Images) -> Vec3 {
+        self.factor * self.texture.as_ref().map_or(Vec3::ONE, |texture| images.all[texture.image].mean())
+    }
+}
+
+/// What of a triangle a texel of the lightmap covers, or a part of a texel: a parallelogram in barycentric coordinates, (u, v) as in [`Hit`].
+pub(super) struct Footprint {
+    centre: Vec2,
+    /// Along the map's columns and along its rows.
+    sides: [Vec2; 2],
+}
+
+impl Footprint {
+    /// Of the cell around a hit, where `corners` are the triangle's place in the map, in cells.
+    pub fn new(hit: &Hit, [a, b, c]: [Vec2; 3]) -> Self {
+        let cells = Mat2::from_cols(b - a, c - a);
+        let sides = if cells.determinant() == 0.0 { Mat2::ZERO } else { cells.inverse() };
+        Self { centre: Vec2::new(hit.u, hit.v), sides: [sides.x_axis, sides.y_axis] }
+    }
+
+    /// Places in it, `counts` along its sides.
+    fn places(&self, counts: [u32; 2]) -> impl Iterator<Item = Vec2> {
+        let along = move |side: usize, i: u32| self.sides[side] * ((i as f32 + 0.5) / counts[side] as f32 - 0.5);
+        (0..counts[0] * counts[1]).map(move |i| self.centre + along(0, i % counts[0]) + along(1, i / counts[0]))
     }
 }
 
 /// How a material uses an image.
 pub(super) struct Texture {
-    /// Index of the image in the document.
-    pub image: usize,
+    /// Index into [`Images`].
+    image: usize,
     /// Which TEXCOORD.
     pub set: usize,
     image_from_uv: Affine2,
@@ -55,8 +78,8 @@ pub(super) struct Texture {
 }
 
 impl Texture {
-    /// From a material's reference, `KHR_texture_transform` included.
-    pub fn new(info: &Info) -> Self {
+    /// From a material's reference, `KHR_texture_transform` included; `image` is the place of its image in [`Images`].
+    pub fn new(info: &Info, image: usize) -> Self {
         let transform = info.texture_transform();
         let set = transform.as_ref().and_then(|t| t.tex_coord()).unwrap_or(info.tex_coord()) as usize;
         // The extension turns coordinates counter-clockwise as seen, and v points down.
@@ -64,27 +87,142 @@ impl Texture {
             Affine2::from_scale_angle_translation(t.scale().into(), -t.rotation(), t.offset().into())
         });
         let sampler = info.texture().sampler();
-        let wrap = [sampler.wrap_s(), sampler.wrap_t()];
-        Self { image: info.texture().source().index(), set, image_from_uv, wrap }
+        Self { image, set, image_from_uv, wrap: [sampler.wrap_s(), sampler.wrap_t()] }
     }
 
-    fn at(&self, uv: Vec2, image: &RgbImage, curve: TransferCurve) -> Vec3 {
-        let size = Vec2::new(image.width() as f32, image.height() as f32);
-        // Texel centres are at half-integers.
-        let place = self.image_from_uv.transform_point2(uv) * size - 0.5;
+    /// The mean over what of the footprint lies in the triangle: images are finer than lightmaps, and what emits must not hang on where
+    /// a few points fall.
+    fn over(&self, footprint: &Footprint, corners: [Vec2; 3], image: &Image) -> Vec3 {
+        let [a, b, c] = corners.map(|uv| self.image_from_uv.transform_point2(uv));
+        let pixels = |barycentric: Vec2| ((b - a) * barycentric.x + (c - a) * barycentric.y) * image.size();
+        let widths = footprint.sides.map(|side| pixels(side).length());
+        let level = (widths[0].max(widths[1]) / SAMPLES).log2().ceil().clamp(0.0, image.coarse.len() as f32);
+        let counts = widths.map(|width| (width / level.exp2()).ceil().clamp(1.0, SAMPLES) as u32);
+        let at = |place: Vec2| image.at(level as usize, a + (b - a) * place.x + (c - a) * place.y, self.wrap);
+        let inside = |place: &Vec2| place.min_element() >= 0.0 && place.element_sum() <= 1.0;
+        let (sum, count) = footprint
+            .places(counts)
+            .filter(inside)
+            .fold((Vec3::ZERO, 0u32), |(sum, count), place| (sum + at(place), count + 1));
+        if count == 0 { at(footprint.centre) } else { sum / count as f32 }
+    }
+}
+
+/// Images of a document, each as materials use it.
+#[derive(Default)]
+pub(super) struct Images {
+    all: Vec<Image>,
+    /// Index in the document, and what its values mean.
+    keys: Vec<(usize, TransferCurve)>,
+}
+
+impl Images {
+    /// The place of an image whose values `curve` makes linear; it is decoded if it is not here yet.
+    pub fn place(&mut self, path: &Path, image: &gltf::Image, buffers: &[Data], curve: TransferCurve) -> Result<usize> {
+        let key = (image.index(), curve);
+        if let Some(place) = self.keys.iter().position(|known| *known == key) {
+            return Ok(place);
+        }
+        self.all.push(Image::new(decoded(path, image, buffers)?, curve));
+        self.keys.push(key);
+        Ok(self.all.len() - 1)
+    }
+
+    /// Bytes of all.
+    pub fn memory(&self) -> u64 {
+        let of = |image: &Image| {
+            image.fine.as_raw().len() + image.coarse.iter().map(|level| size_of_val(&level.data[..])).sum::<usize>()
+        };
+        self.all.iter().map(|image| of(image) as u64).sum()
+    }
+}
+
+/// An image and its mips, each of half the width and height of the one before (rounded up), down to one pixel.
+struct Image {
+    fine: RgbImage,
+    /// Linear values of its eight bits.
+    linear: [f32; 256],
+    /// Linear RGB; pixels of one level are of one size.
+    coarse: Vec<Raster<[f16; 3]>>,
+}
+
+impl Image {
+    fn new(fine: RgbImage, curve: TransferCurve) -> Self {
+        let mut image =
+            Self { fine, linear: std::array::from_fn(|v| curve.decode(v as f32 / 255.0)), coarse: Vec::new() };
+        loop {
+            let level = image.coarse.len();
+            let [width, height] = image.size_of(level);
+            if width * height == 1 {
+                return image;
+            }
+            let [columns, rows] = [width, height].map(halved);
+            let mean = |i: usize| {
+                let mut sum = Vec3::ZERO;
+                for (y, of_row) in &rows[i / columns.len()] {
+                    for (x, share) in &columns[i % columns.len()] {
+                        sum += image.pixel(level, *x, *y) * share * of_row;
+                    }
+                }
+                sum.to_array().map(f16::from_f32)
+            };
+            let data = (0..columns.len() * rows.len()).into_par_iter().map(mean).collect();
+            image.coarse.push(Raster { width: columns.len(), height: rows.len(), data });
+        }
+    }
+
+    fn size(&self) -> Vec2 {
+        Vec2::new(self.fine.width() as f32, self.fine.height() as f32)
+    }
+
+    fn size_of(&self, level: usize) -> [usize; 2] {
+        match level.checked_sub(1) {
+            None => [self.fine.width() as usize, self.fine.height() as usize],
+            Some(coarse) => [self.coarse[coarse].width, self.coarse[coarse].height],
+        }
+    }
+
+    fn pixel(&self, level: usize, x: usize, y: usize) -> Vec3 {
+        match level.checked_sub(1) {
+            None => Vec3::from(self.fine.get_pixel(x as u32, y as u32).0.map(|v| self.linear[usize::from(v)])),
+            Some(coarse) => Vec3::from(self.coarse[coarse].at(x, y).map(f16::to_f32)),
+        }
+    }
+
+    fn mean(&self) -> Vec3 {
+        self.pixel(self.coarse.len(), 0, 0)
+    }
+
+    /// Bilinear, at texture coordinates.
+    fn at(&self, level: usize, uv: Vec2, wrap: [WrappingMode; 2]) -> Vec3 {
+        let [width, height] = self.size_of(level);
+        // Pixel centres are at half-integers.
+        let place = uv * Vec2::new(width as f32, height as f32) - 0.5;
         let (low, f) = (place.floor(), place - place.floor());
         let pixel = |dx: f32, dy: f32| {
-            let x = wrapped(low.x + dx, image.width(), self.wrap[0]);
-            let y = wrapped(low.y + dy, image.height(), self.wrap[1]);
-            Vec3::from(image.get_pixel(x, y).0.map(|v| decoded_byte(curve, v)))
+            self.pixel(level, wrapped(low.x + dx, width, wrap[0]), wrapped(low.y + dy, height, wrap[1]))
         };
         let row = |dy: f32| pixel(0.0, dy).lerp(pixel(1.0, dy), f.x);
         row(0.0).lerp(row(1.0), f.y)
     }
 }
 
+/// Of a row of `size` pixels as half as many, rounded up: the shares that each has of those.
+fn halved(size: usize) -> Vec<Vec<(usize, f32)>> {
+    let width = size as f32 / size.div_ceil(2) as f32;
+    let shares = |i: usize| {
+        let (start, end) = (i as f32 * width, (i + 1) as f32 * width);
+        let share = move |x: usize| (end.min((x + 1) as f32) - start.max(x as f32)) / width;
+        (start as usize..(end.ceil() as usize).min(size))
+            .map(|x| (x, share(x)))
+            .filter(|(_, share)| *share > 0.0)
+            .collect()
+    };
+    (0..size.div_ceil(2)).map(shares).collect()
+}
+
 /// The pixel that stands for whole-numbered place `at` of a row of `size`.
-fn wrapped(at: f32, size: u32, mode: WrappingMode) -> u32 {
+fn wrapped(at: f32, size: usize, mode: WrappingMode) -> usize {
     let n = size as f32;
     let inside = match mode {
         WrappingMode::ClampToEdge => at,
@@ -94,17 +232,21 @@ fn wrapped(at: f32, size: u32, mode: WrappingMode) -> u32 {
             turn.min(2.0 * n - 1.0 - turn)
         }
     };
-    (inside.max(0.0) as u32).min(size - 1)
+    (inside.max(0.0) as usize).min(size - 1)
 }
 
-/// What eight bits stand for.
-fn decoded_byte(curve: TransferCurve, v: u8) -> f32 {
-    curve.decode(f32::from(v) / 255.0)
+/// What an image is called in messages: by its file, its name or its place in the document.
+fn called(image: &gltf::Image) -> String {
+    match (image.source(), image.name()) {
+        (Source::Uri { uri, .. }, _) if !uri.starts_with("data:") => format!("image {} ({uri})", image.index()),
+        (_, Some(name)) => format!("image {} (\"{name}\")", image.index()),
+        _ => format!("image {}", image.index()),
+    }
 }
 
 /// An image's file as it stands in the document: a buffer view, a data URI or a file beside it.
 pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Data]) -> Result<Cow<'a, [u8]>> {
-    let failed = |what: &dyn std::fmt::Display| Error::file(path, format!("image {}: {what}", image.index()));
+    let failed = |what: &dyn std::fmt::Display| Error::file(path, format!("{}: {what}", called(image)));
     match image.source() {
         Source::View { view, .. } => {
             let buffer = buffers.get(view.buffer().index());
@@ -122,21 +264,24 @@ pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Da
                 let name = urlencoding::decode(uri).map_err(|e| failed(&e))?;
                 let file = path.parent().unwrap_or(Path::new("")).join(&*name);
                 let read = std::fs::read(&file).map(Cow::Owned);
-                read.map_err(|e| failed(&format!("{} cannot be read: {e}", file.display())))
+                read.map_err(|e| failed(&format!("{e}; expected it beside the scene: copy it there, or export a .glb")))
             }
         },
     }
 }
 
 /// Decodes a PNG or JPEG.
-pub(super) fn decoded(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<RgbImage> {
+fn decoded(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<RgbImage> {
     let bytes = encoded(path, image, buffers)?;
-    let failed = |e: &dyn std::fmt::Display| Error::file(path, format!("image {}: {e}", image.index()));
+    let failed = |e: &dyn std::fmt::Display| {
+        let what = format!("{} cannot be decoded: {e}; expected a PNG or JPEG: export it as one", called(image));
+        Error::file(path, what)
+    };
     let mut reader = ImageReader::new(Cursor::new(&*bytes)).with_guessed_format().map_err(|e| failed(&e))?;
     reader.limits(limits(bytes.len() as u64));
     let decoded = reader.decode().map_err(|e| failed(&e))?.into_rgb8();
     if decoded.width() == 0 || decoded.height() == 0 {
-        return Err(failed(&"has no pixels"));
+        return Err(failed(&"it has no pixels"));
     }
     Ok(decoded)
 }

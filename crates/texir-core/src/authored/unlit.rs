@@ -1,6 +1,6 @@
 //! Light that does not arrive where it is looked for: at the fronts of faces, which are what a lightmap holds.
 
-use super::solve::{finder, reflected};
+use super::solve::{DARK, finder, reflected};
 use super::{Model, Surfaces, listed};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::bake::{Solution, Texels};
@@ -14,15 +14,15 @@ const PER_PRIMITIVE: usize = 64;
 const OF_ALL: usize = 1 << 16;
 /// How they are looked at from behind.
 const GATHER: Gather = Gather::new(16, 16, 1);
-/// A front is dark below this share of the scene's mean irradiance, a back is lit above that.
-const DARK: f32 = 0.01;
+/// A back is lit above this share of the scene's mean irradiance.
 const LIT: f32 = 0.1;
 /// Behind a face is inside of something where this share of the rays meets backs: nobody looks from there.
 const INSIDE: f32 = 0.25;
 /// A primitive is told of when this share of it is lit from behind alone.
 const SHARE: f32 = 0.1;
 
-/// What to tell the user of a `solution` that is black, or of double-sided materials whose light is behind them.
+/// What to tell the user of a `solution` that is black, or of double-sided materials whose light is behind them, or that shine and are
+/// in sight of something from behind.
 ///
 /// Replaces the backend's TBL and environment.
 pub fn unlit(
@@ -32,18 +32,18 @@ pub fn unlit(
     surfaces: &Surfaces,
     solution: &Solution,
     progress: &dyn Progress,
-) -> Result<Option<String>> {
-    let mean = solution.mean(texels, solution)? as f32;
+) -> Result<Vec<String>> {
+    let mean = solution.mean(texels)? as f32;
     if mean == 0.0 {
-        return Ok(Some(
+        return Ok(vec![
             "no light arrives at any surface, and the map is black: only the front of a face is lit, from where its corners run \
              counter-clockwise; turn faces that are seen from behind around, and check where the lights are"
                 .to_owned(),
-        ));
+        ]);
     }
-    let (points, mut parts) = dark_fronts(model, texels, solution, DARK * mean)?;
+    let (points, mut parts) = suspects(model, texels, surfaces, solution, DARK * mean)?;
     if points.is_empty() {
-        return Ok(None);
+        return Ok(Vec::new());
     }
     let mesh = &backend.scene().mesh;
     let behind: Vec<SurfacePoint> = points.iter().map(|(_, point)| point.behind(mesh)).collect();
@@ -59,15 +59,18 @@ type OfPart = (usize, SurfacePoint);
 #[derive(Clone, Copy, Default)]
 struct Looked {
     texels: usize,
-    /// Those that are dark in front and lit behind.
+    /// Those that shine.
+    shining: usize,
+    /// Those that are dark in front, or shine, and are lit behind.
     lit: usize,
 }
 
-/// Texels of double-sided primitives, some of each, that have less irradiance than `dark`, with the index of their primitive; and
-/// how many of each were looked at.
-fn dark_fronts(
+/// Texels of double-sided primitives, some of each, that shine or have less irradiance than `dark`, with the index of their primitive;
+/// and how many of each were looked at.
+fn suspects(
     model: &Model,
     texels: &Texels<'_>,
+    surfaces: &Surfaces,
     solution: &Solution,
     dark: f32,
 ) -> Result<(Vec<OfPart>, Vec<Looked>)> {
@@ -88,8 +91,10 @@ fn dark_fronts(
         let part = part_of(point);
         let chosen = double[part] && usize::is_multiple_of(passed[part], stride(counts[part]));
         passed[part] += 1;
+        let shines = chosen && surfaces.emission.data[point.sequence as usize] != [0.0; 3];
         looked[part].texels += usize::from(chosen);
-        if chosen && seen && luminance(&irradiance) < dark {
+        looked[part].shining += usize::from(shines);
+        if shines || chosen && seen && luminance(&irradiance) < dark {
             points.push((part, *point));
         }
     })?;
@@ -126,21 +131,23 @@ fn light_at(
 }
 
 /// What to tell the user of primitives after they were looked at.
-fn parts_lit_from_behind(model: &Model, parts: &[Looked]) -> Option<String> {
+fn parts_lit_from_behind(model: &Model, parts: &[Looked]) -> Vec<String> {
     let told = |looked: &Looked| looked.lit > 0 && looked.lit as f32 >= SHARE * looked.texels as f32;
-    let names: Vec<String> = model
-        .parts
-        .iter()
-        .zip(parts)
-        .filter(|(_, looked)| told(looked))
-        .map(|(part, _)| format!("\"{}\"", part.name))
-        .collect();
-    (!names.is_empty()).then(|| {
-        format!(
-            "double-sided surfaces ({}) are lit from behind, where only the light of their fronts is baked, so that they are black: \
-             {}; turn their faces around",
-            names.len(),
-            listed(&names)
-        )
-    })
+    let names = |shining: bool| -> Vec<String> {
+        let of = model.parts.iter().zip(parts).filter(|(_, looked)| told(looked) && (looked.shining > 0) == shining);
+        of.map(|(part, _)| format!("\"{}\"", part.name)).collect()
+    };
+    let sentence = |names: Vec<String>, what: &str| {
+        (!names.is_empty()).then(|| format!("double-sided surfaces ({}) {what}: {}", names.len(), listed(&names)))
+    };
+    let dark = sentence(
+        names(false),
+        "are lit from behind, where only the light of their fronts is baked, so that they are black; turn their faces around",
+    );
+    let shining = sentence(
+        names(true),
+        "shine from their fronts alone, from where their corners run counter-clockwise, and have lit surfaces behind them; where these \
+         miss the light, turn their faces around or give them a second sheet",
+    );
+    dark.into_iter().chain(shining).collect()
 }

@@ -67,11 +67,13 @@ pub fn keep_bounces_within(
     [width, height]: [usize; 2],
 ) -> Result<Workspace> {
     let (beside, texels) = (BASE + Scene::memory(mesh) + materials, (width * height) as u64);
-    if beside + texels * (SURFACES + BOUNCING) <= limit.0 {
+    let whole = beside + texels * (SURFACES + BOUNCING);
+    if whole <= limit.0 {
         return Ok(Workspace::Memory);
     }
     let work = FEWEST * POINT;
-    let least = ByteSize(beside + texels * SURFACES + work);
+    // Small maps take less than files do.
+    let least = ByteSize(whole.min(beside + texels * SURFACES + work));
     if least <= limit {
         let memory = ByteSize(limit.0 - beside - texels * SURFACES);
         return Ok(Workspace::Disk { folder: folder.to_owned(), memory });

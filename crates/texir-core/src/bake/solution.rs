@@ -16,7 +16,7 @@ use crate::checkpoint::Checkpoints;
 use crate::denoise::{self, Noisy};
 use crate::error::Result;
 use crate::progress::Progress;
-use crate::raster::{Raster, Rgb};
+use crate::raster::{Raster, Rgb, luminance};
 use crate::surface::SurfacePoint;
 
 /// A texel lies inside an object when this share of its rays meets the backs of triangles.
@@ -120,17 +120,25 @@ impl Solution {
         Ok(())
     }
 
-    /// Mean over the channels and the texels that are not inside other geometry, which `first` tells.
-    pub(crate) fn mean(&self, texels: &Texels<'_>, first: &Self) -> Result<f64> {
-        let (mut sum, mut count) = (0.0, 0u64);
+    /// Mean over the channels and all texels.
+    pub(crate) fn mean(&self, texels: &Texels<'_>) -> Result<f64> {
+        let mut sum = 0.0;
         for items in texels.pieces() {
-            let (irradiance, seen) = (self.irradiance.get(&items)?, first.seen.get(&items)?);
-            for (e, _) in irradiance.iter().zip(seen.iter()).filter(|(_, seen)| **seen != 0) {
-                sum += e.iter().map(|v| f64::from(*v)).sum::<f64>();
-                count += 3;
-            }
+            sum += self.irradiance.get(&items)?.iter().flatten().map(|v| f64::from(*v)).sum::<f64>();
         }
-        Ok(sum / count.max(1) as f64)
+        Ok(sum / (3 * texels.valid()).max(1) as f64)
+    }
+
+    /// Takes texels whose luminance is above `dark` for ones outside of other geometry. Where backs of faces send no light, what is lit
+    /// is not inside, however many backs it meets: those of a roof of one sheet, or of an open box.
+    pub(crate) fn see_lit(&mut self, texels: &Texels<'_>, dark: f32) -> Result<()> {
+        for items in texels.pieces() {
+            let (irradiance, seen) = (self.irradiance.get(&items)?, self.seen.get(&items)?);
+            let lit = |(seen, e): (&u8, &[f32; 3])| *seen | u8::from(luminance(e) > dark);
+            let seen: Vec<u8> = seen.iter().zip(irradiance.iter()).map(lit).collect();
+            self.seen.set(&items, &seen)?;
+        }
+        Ok(())
     }
 
     /// Some rows of the map of light that surfaces can send on: [`Buried::Fill`] for texels that are inside other geometry, which

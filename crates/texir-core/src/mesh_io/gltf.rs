@@ -30,7 +30,7 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK.as_bytes()).unwrap_or(&bytes);
     let Gltf { document, blob } =
         Gltf::from_slice_without_validation(bytes).map_err(|e| Error::cannot_read(path, e))?;
-    let root = document.into_json();
+    let mut root = document.into_json();
     // The validation takes this much for granted.
     let position = Checked::Valid(Semantic::Positions);
     let primitives = root.meshes.iter().flat_map(|mesh| &mesh.primitives);
@@ -49,19 +49,39 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     if let Some(index) = root.images.iter().position(|image| !whole(image)) {
         return Err(Error::file(path, format!("image {index} has no uri, nor a bufferView with its mimeType")));
     }
-    let document = Document::from_json(root).map_err(|e| Error::cannot_read(path, e))?;
+    // Some exporters do not say that a file cannot be read without what it uses.
+    root.extensions_required.retain(|name| ENABLED_EXTENSIONS.contains(&name.as_str()));
+    let used: Vec<_> = root.extensions_used.iter().filter(|name| without(name) != WITHOUT).cloned().collect();
+    let used = unread(&used);
+    let document = Document::from_json(root).map_err(|e| match &used[..] {
+        [] => Error::cannot_read(path, e),
+        used => Error::file(path, format!("{e}; it uses what texir does not read: {}", used.join(", "))),
+    })?;
     Ok(Gltf { document, blob })
 }
 
 /// An error where the file says that it cannot be read without what texir does not know.
 fn check_required(path: &Path, required: &[String]) -> Result<()> {
-    let unknown = required.iter().filter(|name| !ENABLED_EXTENSIONS.contains(&name.as_str()));
-    let unknown: Vec<_> = unknown.map(|name| format!("{name} ({})", without(name))).collect();
+    let unknown = unread(required);
     if unknown.is_empty() {
         return Ok(());
     }
     Err(Error::file(path, format!("extensionsRequired asks for what texir does not read: {}", unknown.join(", "))))
 }
+
+/// Those of some extensions that texir does not read, and how to export a scene without them. What materials have besides (gloss,
+/// sheen) takes nothing from what is read of them.
+fn unread(extensions: &[String]) -> Vec<String> {
+    let is_read = |name: &str| {
+        ENABLED_EXTENSIONS.contains(&name)
+            || name.starts_with("KHR_materials_") && name != "KHR_materials_pbrSpecularGlossiness"
+    };
+    let unread = extensions.iter().filter(|name| !is_read(name));
+    unread.map(|name| format!("{name} ({})", without(name))).collect()
+}
+
+/// What is to be done about an extension that is not known.
+const WITHOUT: &str = "export without it";
 
 /// How to export a scene without an extension.
 fn without(extension: &str) -> &'static str {
@@ -75,7 +95,7 @@ fn without(extension: &str) -> &'static str {
         }
         "EXT_mesh_gpu_instancing" => "export every instance as a node",
         "KHR_materials_pbrSpecularGlossiness" => "convert materials to metallic-roughness",
-        _ => "export without it",
+        _ => WITHOUT,
     }
 }
 

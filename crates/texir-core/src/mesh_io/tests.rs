@@ -63,7 +63,9 @@ fn obj_polygons_objects_and_materials_become_one_mesh_with_v_down() {
 
 #[test]
 fn obj_names_and_comments_may_be_in_any_code_page() {
-    let of = |first: &[u8]| read_text("a.obj", [first, b"\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"].concat());
+    let of = |first: &[u8]| {
+        read_text("a.obj", [first, b"\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"].concat())
+    };
     for first in [&b"# K\xfcche"[..], b"#\xe9t\xe9", b"o K\xfcche", b"usemtl Eiche_gr\xfcn", b"  g B\xf6den W\xe4nde"] {
         assert_eq!(of(first).unwrap().mesh.triangles, [[0, 1, 2]]);
     }
