@@ -1,6 +1,6 @@
 //! The triangle mesh of the whole scene with its one texture atlas.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::hash::Hash;
 
 use glam::{Vec2, Vec3};
@@ -115,6 +115,21 @@ impl Mesh {
                  will be wrong; expected metres, and the mesh (with its cameras) near the origin"
             )
         })
+    }
+
+    /// Drops triangles whose corners lie where those of an earlier one do, and run around alike; returns their number.
+    pub(crate) fn drop_repeated(&mut self) -> usize {
+        let before = self.triangles.len();
+        let mut known = HashSet::with_capacity(before);
+        let positions = &self.positions;
+        self.triangles.retain(|t| {
+            // Zero has two signs.
+            let mut corners = t.map(|i| positions[i as usize].to_array().map(|v| (v + 0.0).to_bits()));
+            let first = (0..3).min_by_key(|i| corners[*i]).unwrap_or(0);
+            corners.rotate_left(first);
+            known.insert(corners)
+        });
+        before - self.triangles.len()
     }
 
     /// Replaces `normals` by the face normals, splitting shared vertices: flat shading.

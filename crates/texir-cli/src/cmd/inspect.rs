@@ -2,6 +2,7 @@
 //! sense, and what a fit will cost.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -10,6 +11,7 @@ use serde::Serialize;
 use texir_core::backend::Backend;
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::import::{self, Import};
+use texir_core::capture::survey::Survey;
 use texir_core::capture::{Capture, Split, Tbl, View};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
@@ -35,6 +37,9 @@ const OUTSIDE: f64 = 0.3;
 
 /// A camera that sees more back faces than this is taken to be inside a solid, or the mesh to be turned inside out.
 const INSIDE_OUT: f64 = 0.3;
+
+/// Cameras that people carry or put on tripods are so high above the floor, metres.
+const HEIGHTS: RangeInclusive<f32> = 0.3..=3.5;
 
 /// Rows of the table of cameras, unless all are asked for.
 const ROWS: usize = 30;
@@ -280,6 +285,11 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     findings.warnings.extend(unreadable);
     if findings.origin.capture {
         findings.warnings.extend(masked(&training, session)?);
+        match Survey::new(&mut backend, &training, session.console) {
+            Err(Error::Cancelled) => return Err(Error::Cancelled.into()),
+            // What cannot be read has been told.
+            found => findings.warnings.extend(found.unwrap_or_default().warnings()),
+        }
     }
     let cameras: Vec<Vec3> = capture.views.iter().map(|view| view.camera.position()).collect();
     findings.warnings.extend(rooms::detect(mesh, &cameras, &RoomOptions::default()).err().map(|e| e.to_string()));
@@ -431,6 +441,14 @@ fn warnings(findings: &Findings) -> Vec<String> {
                 100.0 * view.back_faces
             ));
         }
+    }
+    let mut heights: Vec<f32> = findings.views.iter().filter_map(|view| view.height_above_floor).collect();
+    heights.sort_by(f32::total_cmp);
+    if let Some(height) = heights.get(heights.len() / 2).filter(|height| !HEIGHTS.contains(*height)) {
+        warnings.push(format!(
+            "half of the cameras are more than {height:.2} m above what is below them: are the units metres, and is +Z up? \
+             `texir import` takes --metres-per-unit and --up"
+        ));
     }
     if findings.atlas.overlapping > 0.01 {
         warnings.push(format!(

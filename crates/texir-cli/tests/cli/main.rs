@@ -7,4 +7,5 @@ mod commands;
 mod import;
 mod interrupt;
 mod room;
+mod survey;
 mod texir;

@@ -19,6 +19,8 @@ const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
 pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 /// A camera whose up axis points down by more than this is upside down.
 const DOWN: f32 = 0.5;
+/// Cameras that agree on what is up by more than this hold it; within 45° of +Z it is well.
+const UPRIGHT: f32 = 0.7;
 
 /// Reads and checks a capture folder: `transforms.json`, a mesh, and `hdr_texture.exr`, `albedo_tex.exr` with
 /// `roughness_tex.exr` where they exist. All but the mesh stays on disk; files are checked to be there,
@@ -154,6 +156,17 @@ fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
             down.len(),
             views.len(),
             first.name
+        ));
+        return;
+    }
+    let up =
+        views.iter().map(|view| view.camera.world_from_camera.y_axis.truncate()).sum::<Vec3>() / views.len() as f32;
+    // Whoever turns the camera every way shows no up.
+    if up.length() > UPRIGHT && up.normalize().z < UPRIGHT {
+        progress.warn(&format!(
+            "{}: transform_matrix: up is {up:.1} in the cameras, on average, and +Z in the world: floors and rooms are looked for \
+             along +Z; `texir import --up` turns mesh and cameras",
+            root.join("transforms.json").display()
         ));
     }
 }

@@ -9,6 +9,7 @@ pub mod nerfstudio;
 mod pose;
 pub mod segment;
 mod sharpen;
+pub mod survey;
 mod tbl_file;
 mod view;
 

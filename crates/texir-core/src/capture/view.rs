@@ -41,7 +41,8 @@ impl View {
     }
 
     /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or infinite are
-    /// unknown and NaN in all channels, negative channels are 0, and a warning says how many.
+    /// unknown and NaN in all channels, negative channels are 0, and a warning says how many. So is all of an image that is black throughout:
+    /// what failed to be written must not pass for black paint.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         self.image_with(f32::NAN, progress)
     }
@@ -57,12 +58,16 @@ impl View {
         if !found.is_clean() {
             progress.warn(&format!("{}: {found}", self.image.display()));
         }
+        let is_black = image.data.iter().flatten().all(|v| *v == 0.0);
+        if is_black {
+            progress.warn(&format!("{}: is black throughout, and left out", self.image.display()));
+        }
         if self.blur > 0.0 {
             sharpen(&mut image, self.blur, self.camera.wraps());
         }
         let mut image = self.sized(&self.image, image, mean_pixel)?;
         for radiance in &mut image.data {
-            let known = radiance.iter().all(|v| v.is_finite());
+            let known = !is_black && radiance.iter().all(|v| v.is_finite());
             *radiance = std::array::from_fn(|c| if known { radiance[c] * self.scale[c] } else { unknown });
         }
         Ok(image)

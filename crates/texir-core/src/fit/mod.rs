@@ -24,6 +24,7 @@ use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Baked};
 use crate::brdf::Masking;
+use crate::capture::survey::Survey;
 use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
@@ -115,6 +116,11 @@ pub fn fit(
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
+    let root = capture.root.display();
+    Survey::new(backend, &training, progress)?
+        .warnings()
+        .iter()
+        .for_each(|what| progress.warn(&format!("{root}: {what}")));
     let Lighting { mut tbl, atlas, views } =
         lighting(backend, (capture.tbl.as_deref(), &training), settings, progress)?;
     timings.mark("texture-based lighting");

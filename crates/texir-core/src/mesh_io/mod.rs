@@ -105,6 +105,7 @@ fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
         ));
     }
 
+    let has_normals = normals.iter().any(Option::is_some);
     for normal in &mut normals {
         *normal = normal.and_then(|n| n.try_normalize());
     }
@@ -116,7 +117,8 @@ fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
     let unplaced = part_from_atlas_where_uvs_are_missing(&mut mesh, &mut normals, &uvs);
     mesh.normals.extend(normals.iter().map(|n| n.unwrap_or_default()));
     let flattened = flatten_where_normals_are_missing(&mut mesh, &normals);
-    if flattened > 0 {
+    // A mesh without any is meant to be.
+    if flattened > 0 && has_normals {
         warnings.push(format!(
             "{}: {flattened} of {} triangles have no usable vertex normals and are shaded flat",
             path.display(),

@@ -171,8 +171,13 @@ pub fn read(folder: impl AsRef<Path>, options: &ImportOptions, progress: &dyn Pr
     let mesh_path = options.mesh.clone().or_else(|| source.mesh.clone()).ok_or_else(|| {
         Error::file(folder, "has no mesh, or several; expected mesh.obj, .glb or .ply, or one named with --mesh")
     })?;
-    let (MeshFile { mesh, warnings }, unplaced) = read_surface(&mesh_path)?;
+    let (MeshFile { mut mesh, warnings }, unplaced) = read_surface(&mesh_path)?;
     warnings.iter().for_each(|w| progress.warn(w));
+    // Their charts would be as many again, and share the views with those of the first.
+    let repeated = mesh.drop_repeated();
+    if repeated > 0 {
+        progress.warn(&format!("{}: {repeated} triangles are there twice, and dropped", mesh_path.display()));
+    }
     let Source { mut shots, textures, mut assumed, .. } = source.clone();
     let texir_from_source = frame::Similarity::of(&source, options, &mut assumed)?;
     shots.iter_mut().for_each(|shot| shot.view.camera = texir_from_source.place_camera(&shot.view.camera));

@@ -1,0 +1,297 @@
+//! What the training views show of the mesh, before anything is fitted: light that the mesh has no front for, images that clip, and
+//! views that contradict the others. Each of these ruins a result, and none of them stops a fit.
+
+use std::collections::HashMap;
+
+use glam::Vec3;
+
+use super::View;
+use crate::backend::Backend;
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::raster::{Rgb, luminance, mean_pixel};
+
+/// Columns of a view as it is looked at, at most.
+const COLUMNS: usize = 256;
+/// Edge of the cells of surface in which views are compared, metres.
+const CELL: f32 = 0.25;
+/// Views of a cell by which one of them can be judged,
+const JUDGES: usize = 3;
+/// and cells that a view is judged in at least.
+const ENOUGH: usize = 30;
+
+/// Shares of the light and of the directions, of all training views, that may meet the backs of faces,
+const BEHIND: [f64; 2] = [0.03, 0.05];
+/// or no surface.
+const OPEN: [f64; 2] = [0.05, 0.1];
+/// An image clips where so many of its pixels share its largest value in two channels.
+const CLIPPED: f64 = 1e-3;
+/// A view is exposed otherwise where it is brighter or darker than the others by this, in ln.
+const EXPOSED: f64 = 0.25;
+/// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off in the median.
+const OFF: f64 = 0.3;
+const TIMES: f64 = 2.5;
+
+/// What a training view shows.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// Name of the view.
+    pub name: String,
+    /// What meets the backs of faces.
+    pub behind: Share,
+    /// What meets no surface.
+    pub open: Share,
+    /// All that it shows.
+    pub all: Share,
+    /// The largest value of its image, and the share of its pixels that have it in two channels at least.
+    pub largest: (f32, f64),
+    /// How it agrees with other views of the same places; `None` where too few show enough of them.
+    pub agreement: Option<Agreement>,
+}
+
+/// A part of what a view shows.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Share {
+    /// Solid angle, sr.
+    pub directions: f64,
+    /// Radiance × solid angle.
+    pub light: f64,
+    /// Column and row of the image where most of it comes from, with its light there.
+    brightest: (f64, [usize; 2]),
+}
+
+/// How a view agrees with the median of all views of the same places.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Agreement {
+    /// ln of its brightness over theirs, in the median.
+    pub exposure: f64,
+    /// How far it is from that, in the median.
+    pub spread: f64,
+}
+
+/// What all training views show.
+#[derive(Clone, Debug, Default)]
+pub struct Survey(Vec<Shown>);
+
+impl Survey {
+    /// Looks at all of `views`, at some hundred columns each. What masks leave out shines all the same, but is not compared.
+    pub fn new(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Self> {
+        progress.start("what views show", views.len() as u64, "views");
+        let (mut shown, mut cells) = (Vec::with_capacity(views.len()), Vec::new());
+        for (index, view) in views.iter().enumerate() {
+            progress.check()?;
+            let image = view.load_image(progress)?;
+            let largest = largest(&image);
+            let reduced = (1..=view.camera.width.div_ceil(COLUMNS)).rev().find_map(|factor| view.reduced(factor));
+            let view = reduced.as_ref().unwrap_or(view);
+            let image = image.reduced(view.reduction / views[index].reduction, mean_pixel);
+            let mut of_view = Shown {
+                name: view.name.clone(),
+                behind: Share::default(),
+                open: Share::default(),
+                all: Share::default(),
+                largest,
+                agreement: None,
+            };
+            let means = of_view.look(backend, view, &image)?;
+            cells.extend(means.into_iter().map(|(cell, mean)| (cell, index as u32, mean)));
+            shown.push(of_view);
+            progress.advance(1);
+        }
+        progress.finish();
+        agreements(&mut shown, cells);
+        Ok(Self(shown))
+    }
+
+    /// What users are told, in sentences.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut told = Vec::new();
+        let [behind, open, all] =
+            [|s: &Shown| s.behind, |s: &Shown| s.open, |s: &Shown| s.all].map(|part| self.sum(part));
+        let exceeds = |part: Share, [light, directions]: [f64; 2]| {
+            part.light > light * all.light || part.directions > directions * all.directions
+        };
+        let percent = |part: Share| {
+            let of = |part: f64, all: f64| 100.0 * part / all.max(f64::MIN_POSITIVE);
+            format!(
+                "{:.0} % of the light and {:.0} % of the directions",
+                of(part.light, all.light),
+                of(part.directions, all.directions)
+            )
+        };
+        if exceeds(behind, BEHIND) {
+            told.push(format!(
+                "{} that the training views show come from the backs of faces{}: what faces the wrong way stays dark and is given no \
+                 materials that mean anything; turn these faces around",
+                percent(behind),
+                self.brightest(|s| s.behind)
+            ));
+        }
+        if exceeds(open, OPEN) {
+            told.push(format!(
+                "{} that the training views show come from where the mesh has no surface{}: what shines through its holes is missing \
+                 from the light, and albedo makes up for it; close them, with a plane before a window",
+                percent(open),
+                self.brightest(|s| s.open)
+            ));
+        }
+        if self.0.len() < JUDGES {
+            told.push(format!(
+                "{} training views: where one view alone shows a place, its highlights cannot be told from its paint; expected several \
+                 views of every room",
+                self.0.len()
+            ));
+        }
+        told.extend(self.clipped());
+        told.extend(self.contradicted());
+        told
+    }
+
+    fn sum(&self, part: impl Fn(&Shown) -> Share) -> Share {
+        self.0.iter().fold(Share::default(), |sum, shown| {
+            let part = part(shown);
+            Share { directions: sum.directions + part.directions, light: sum.light + part.light, ..sum }
+        })
+    }
+
+    /// Where most light of a part comes from.
+    fn brightest(&self, part: impl Fn(&Shown) -> Share) -> String {
+        let most = self.0.iter().max_by(|a, b| part(a).brightest.0.total_cmp(&part(b).brightest.0));
+        let place = |shown: &Shown| {
+            let (light, [x, y]) = part(shown).brightest;
+            (light > 0.0).then(|| format!(" (most in view {:?} at column {x}, row {y})", shown.name))
+        };
+        most.and_then(place).unwrap_or_default()
+    }
+
+    fn clipped(&self) -> Option<String> {
+        let clipped: Vec<&Shown> = self.0.iter().filter(|shown| shown.largest.1 > CLIPPED).collect();
+        let first = clipped.first()?;
+        let (value, share) = first.largest;
+        // A lamp may be even; where it is white as well, one image alone proves nothing.
+        let same = clipped.iter().filter(|shown| shown.largest.0 == value).count();
+        (same > 1 || self.0.len() == 1).then(|| {
+            format!(
+                "{same} training images end at {value}, which {:.1} % of the pixels of {:?} have in several channels: are lamps or windows \
+                 clipped? What is missing of their light, albedo makes up for; merge shorter exposures into the images (`texir hdr`)",
+                100.0 * share,
+                first.name
+            )
+        })
+    }
+
+    fn contradicted(&self) -> Vec<String> {
+        let known: Vec<(&Shown, Agreement)> =
+            self.0.iter().filter_map(|shown| Some((shown, shown.agreement?))).collect();
+        let mut spreads: Vec<f64> = known.iter().map(|(_, agreement)| agreement.spread).collect();
+        let most = (TIMES * median(&mut spreads)).max(OFF);
+        let (off, others): (Vec<_>, Vec<_>) = known.into_iter().partition(|(_, agreement)| agreement.spread > most);
+        let names = |views: &[(&Shown, Agreement)]| {
+            views.iter().map(|(shown, _)| format!("{:?}", shown.name)).collect::<Vec<_>>().join(", ")
+        };
+        let exposed: Vec<_> = others.into_iter().filter(|(_, agreement)| agreement.exposure.abs() > EXPOSED).collect();
+        let mut told = Vec::new();
+        if !off.is_empty() {
+            told.push(format!(
+                "views that do not show what the others show of the same places: {}; is it their pose, or their image?",
+                names(&off)
+            ));
+        }
+        if let Some((_, agreement)) = exposed.iter().max_by(|a, b| a.1.exposure.abs().total_cmp(&b.1.exposure.abs())) {
+            told.push(format!(
+                "views that are brighter or darker than the others show the same places: {} (by {:.2} times the most): \
+                 --solve-exposure brings them together, unless the light was changed between them",
+                names(&exposed),
+                agreement.exposure.exp()
+            ));
+        }
+        told
+    }
+}
+
+/// A cell of surface that faces one way.
+type Cell = ([i32; 3], u8);
+
+impl Shown {
+    /// Looks at an image; yields the mean ln of luminance per cell that it shows from the front.
+    fn look(&mut self, backend: &mut dyn Backend, view: &View, image: &Rgb) -> Result<HashMap<Cell, f64>> {
+        let camera = &view.camera;
+        let (known, usable) = (image.finite(), view.usable(image)?);
+        let hits = backend.primary(camera, camera.rows())?;
+        let mesh = &backend.scene().mesh;
+        let mut cells: HashMap<Cell, (f64, f64)> = HashMap::new();
+        // Masks leave out lights, and with them what this is about.
+        for (pixel, hit) in hits.iter().enumerate().filter(|(pixel, _)| known.data[*pixel]) {
+            let place = [pixel % camera.width, pixel / camera.width];
+            let bright = f64::from(luminance(&image.data[pixel]));
+            let seen = Share::of(f64::from(camera.solid_angle(pixel)), bright, place.map(|at| at * view.reduction));
+            self.all.add(seen);
+            if !hit.is_hit() {
+                self.open.add(seen);
+                continue;
+            }
+            let front = mesh.face_normal(hit.triangle);
+            if front.dot(camera.direction(place[0] as f32 + 0.5, place[1] as f32 + 0.5)) > 0.0 {
+                self.behind.add(seen);
+            } else if bright > 0.0 && usable.data[pixel] {
+                let at = hit.interpolate(mesh.corners(hit.triangle));
+                let (sum, count) = cells.entry(cell(at, front)).or_default();
+                (*sum, *count) = (*sum + bright.ln(), *count + 1.0);
+            }
+        }
+        Ok(cells.into_iter().map(|(cell, (sum, count))| (cell, sum / count)).collect())
+    }
+}
+
+impl Share {
+    fn of(directions: f64, radiance: f64, place: [usize; 2]) -> Self {
+        let light = directions * radiance;
+        Self { directions, light, brightest: (light, place) }
+    }
+
+    fn add(&mut self, other: Self) {
+        self.directions += other.directions;
+        self.light += other.light;
+        if other.brightest.0 > self.brightest.0 {
+            self.brightest = other.brightest;
+        }
+    }
+}
+
+fn cell(at: Vec3, front: Vec3) -> Cell {
+    let axis = front.abs().max_position();
+    ((at / CELL).floor().as_ivec3().to_array(), 2 * axis as u8 + u8::from(front[axis] < 0.0))
+}
+
+/// The largest value of an image, and the share of its pixels that have it in two channels or more.
+fn largest(image: &Rgb) -> (f32, f64) {
+    let most = image.data.iter().flatten().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
+    let at_it = |pixel: &&[f32; 3]| pixel.iter().filter(|v| **v == most).count() >= 2;
+    let count = if most > 0.0 { image.data.iter().filter(at_it).count() } else { 0 };
+    (most, count as f64 / image.data.len().max(1) as f64)
+}
+
+/// Compares the views by cells that several of them show.
+fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, u32, f64)>) {
+    cells.sort_unstable_by_key(|(cell, view, _)| (*cell, *view));
+    let mut differences = vec![Vec::new(); shown.len()];
+    for of_cell in cells.chunk_by(|a, b| a.0 == b.0).filter(|of_cell| of_cell.len() >= JUDGES) {
+        let typical = median(&mut of_cell.iter().map(|(.., mean)| *mean).collect::<Vec<_>>());
+        of_cell.iter().for_each(|(_, view, mean)| differences[*view as usize].push(mean - typical));
+    }
+    for (shown, mut differences) in shown.iter_mut().zip(differences) {
+        if differences.len() >= ENOUGH {
+            let exposure = median(&mut differences);
+            let spread = median(&mut differences.iter().map(|d| (d - exposure).abs()).collect::<Vec<_>>());
+            shown.agreement = Some(Agreement { exposure, spread });
+        }
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
