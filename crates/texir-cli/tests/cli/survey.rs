@@ -1,6 +1,6 @@
 //! What a capture's views show is looked at before anything is fitted: what ruins a result without stopping it is told.
 
-use texir_core::image_io::{read_rgb, write_rgb};
+use texir_core::image_io::{read_gray, read_rgb, write_rgb};
 
 use crate::room::{Capture, WIDTH};
 use crate::texir::{fit, succeed};
@@ -95,4 +95,27 @@ fn images_that_are_black_are_left_out() {
     // Two views are left: what they show is painted as with all three, and nothing is black.
     let albedo = read_rgb(out.join("albedo.exr")).unwrap();
     assert!(albedo.data.iter().filter(|a| a[0] > 0.1).count() > albedo.data.len() / 4);
+}
+
+#[test]
+fn light_may_be_in_any_unit() {
+    let fitted = |factor: f32| {
+        let capture = Capture::new();
+        ["a", "b", "c"].iter().for_each(|view| paint(&capture, view, |_, pixel| pixel.map(|v| factor * v)));
+        let out = capture.out("out");
+        let of_fit = ["fit".into(), capture.path().into_os_string(), "-o".into(), out.clone().into_os_string()];
+        let more = ["--backend", "cpu", "--no-eval", "--quiet", "--set", "fit.atlas_size=64"].map(Into::into);
+        succeed(&of_fit.into_iter().chain(more).collect::<Vec<std::ffi::OsString>>());
+        let [albedo, emission] = ["albedo.exr", "emission.exr"].map(|name| read_rgb(out.join(name)).unwrap());
+        let roughness = read_gray(out.join("roughness.exr")).unwrap();
+        (albedo, roughness, emission.map(|pixel| pixel.map(|v| v / factor)))
+    };
+    let usual = fitted(1.0);
+    for factor in [1e-9, 1e9] {
+        let other = fitted(factor);
+        let off = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.len() as f32;
+        assert!(off(other.0.data.as_flattened(), usual.0.data.as_flattened()) < 1e-3, "albedo at {factor}");
+        assert!(off(&other.1.data, &usual.1.data) < 1e-2, "roughness at {factor}");
+        assert!(off(other.2.data.as_flattened(), usual.2.data.as_flattened()) < 1e-2, "emission at {factor}");
+    }
 }

@@ -80,7 +80,7 @@ pub fn irradiance(
         total.see_lit(texels, DARK * series.iter().sum::<f64>() as f32)?;
         let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
         drop(last);
-        let lights = finder(solver.backend, texels, &sent)?.find();
+        let lights = finder(solver.backend, texels, &sent)?.one_sided();
         last = solver.gather((&sent, &lights), k, share)?;
         total.add(texels, &last)?;
         series.push(last.mean(texels)?);
@@ -101,8 +101,7 @@ struct Solver<'a> {
 impl Solver<'_> {
     /// What emission, sky and lights without extent bring themselves.
     fn direct(&mut self, surfaces: &Surfaces) -> Result<Solution> {
-        // However dim: what emits shines from its front alone.
-        let lights = finder(self.backend, self.texels, &surfaces.emission)?.emitters();
+        let lights = finder(self.backend, self.texels, &surfaces.emission)?.one_sided();
         let mut direct = self.gather((&surfaces.emission, &lights), 0, 1.0)?;
         self.add_punctual(&mut direct, &surfaces.lights)?;
         Ok(direct)

@@ -18,6 +18,7 @@ use crate::image_io::encode_png;
 use crate::progress::Silent;
 use crate::raster::{Raster, Rgb};
 use crate::scene::Scene;
+use crate::surface::SurfacePoint;
 
 /// Corners of a unit square, counter-clockwise from above.
 const CORNERS: [[f32; 2]; 4] = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]];
@@ -456,6 +457,41 @@ fn what_is_lit_under_a_roof_of_one_sheet_is_not_inside_of_something() {
     let roof = Mat4::from_translation(4.0 * Vec3::Y) * wide;
     let scene = write_lit(folder.path(), &[(0, Mat4::IDENTITY), (1, roof)], Vec3::new(0.4, 0.5, 0.6), vec![None; 2]);
     assert_eq!(told(scene, 2, true), [None, None]);
+}
+
+#[test]
+fn no_light_comes_through_a_sheet() {
+    let folder = tempfile::tempdir().unwrap();
+    // Between the lamp and the floor, wider than that is high, and as white as can be.
+    let wide = Mat4::from_scale_rotation_translation(Vec3::new(9.0, 1.0, 9.0), Default::default(), Vec3::splat(-4.0));
+    let mean = |roof: Mat4| {
+        let roof = Mat4::from_translation(4.0 * Vec3::Y) * roof;
+        let scene =
+            write_lit(folder.path(), &[(0, Mat4::IDENTITY), (1, roof)], Vec3::new(0.5, 2.0, 0.5), vec![None; 2]);
+        let model = read_gltf(scene, 64, Reflected::Diffusely, &Silent).unwrap();
+        let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+        let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
+        let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
+        let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
+        let bounces = Bounces { quality, tolerance: 0.0, most: 2 };
+        let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+        // The floor has the mesh's first two triangles.
+        let (mut sum, mut count) = (0.0, 0);
+        let of_floor = |point: &SurfacePoint| point.triangle < 2;
+        solved
+            .solution
+            .each(&texels, |point, e, _| {
+                if of_floor(point) {
+                    (sum, count) = (sum + e[0], count + 1)
+                }
+            })
+            .unwrap();
+        assert!(count > 0);
+        sum / count as f32
+    };
+    assert_eq!(mean(wide), 0.0);
+    // Negative control: beside the floor it is no roof.
+    assert!(mean(Mat4::from_translation(20.0 * Vec3::X) * wide) > 1.0);
 }
 
 #[test]

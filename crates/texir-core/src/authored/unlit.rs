@@ -114,7 +114,7 @@ fn light_at(
     let mut sent = reflected(&surfaces.albedo, |rows| solution.seen_rows(texels, solution, rows))?;
     sent.data.iter_mut().zip(&surfaces.emission.data).for_each(|(sent, own)| (0..3).for_each(|c| sent[c] += own[c]));
     backend.set_environment(None)?;
-    let lights = finder(backend, texels, &sent)?.find();
+    let lights = finder(backend, texels, &sent)?.one_sided();
     backend.set_tbl(&sent, &lights)?;
     let per_point = u64::from(GATHER.cosine + GATHER.light) + surfaces.lights.len() as u64;
     progress.start("backs of double-sided surfaces", points.len() as u64 * per_point, "rays");

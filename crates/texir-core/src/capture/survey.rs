@@ -103,6 +103,12 @@ impl Survey {
         Ok(Self(shown))
     }
 
+    /// Mean radiance over all directions of all views.
+    pub fn radiance(&self) -> f64 {
+        let all = self.sum(|shown| shown.all);
+        all.light / all.directions.max(f64::MIN_POSITIVE)
+    }
+
     /// What users are told, in sentences.
     pub fn warnings(&self) -> Vec<String> {
         let mut told = Vec::new();

@@ -14,6 +14,7 @@ pub mod paper;
 pub mod settings;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -25,7 +26,7 @@ use crate::backend::{Backend, Gather};
 use crate::bake::{self, Baked};
 use crate::brdf::Masking;
 use crate::capture::survey::Survey;
-use crate::capture::{Capture, Split, Tbl, View};
+use crate::capture::{Capture, Coverage, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
@@ -115,14 +116,13 @@ pub fn fit(
     let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
-    let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let root = capture.root.display();
-    Survey::new(backend, &training, progress)?
-        .warnings()
-        .iter()
-        .for_each(|what| progress.warn(&format!("{root}: {what}")));
+    let mut training: Vec<View> = capture.views(Split::Train).cloned().collect();
+    let survey = Survey::new(backend, &training, progress)?;
+    survey.warnings().iter().for_each(|what| progress.warn(&format!("{}: {what}", capture.root.display())));
+    let unit = unit(survey.radiance());
+    training.iter_mut().for_each(|view| view.scale = view.scale.map(|factor| factor * unit));
     let Lighting { mut tbl, atlas, views } =
-        lighting(backend, (capture.tbl.as_deref(), &training), settings, progress)?;
+        lighting(backend, (capture.tbl.as_deref(), &training), unit, settings, progress)?;
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
@@ -163,12 +163,57 @@ pub fn fit(
     if let Some(radiance) = relit {
         tbl.radiance = radiance;
     }
-    let emission = emitted((&tbl.radiance, &emitters), &materials);
-    let Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence } = materials;
+    let mut emission = emitted((&tbl.radiance, &emitters), &materials);
+    let Materials { albedo, roughness, metallic, mut irradiance, diffuse, masking, confidence } = materials;
+    if let Some(what) = too_bright(&albedo, &emitters, &tbl) {
+        progress.warn(&format!("{}: {what}", capture.root.display()));
+    }
+    // Back in the capture's unit; powers of two are exact.
+    for map in [&mut emission, &mut irradiance, &mut tbl.radiance] {
+        scale(map, unit.recip());
+    }
     let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
     timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
+}
+
+/// Views are this bright on average, about, for light to be computed with in half floats and shared exponents.
+const USUAL: RangeInclusive<f64> = 1e-3..=1e3;
+
+/// What light is multiplied with while a fit goes on: 1, unless views of this mean radiance are in a unit of which numbers here hold too
+/// little; a power of two.
+fn unit(radiance: f64) -> f32 {
+    let is_usual = USUAL.contains(&radiance) || !(radiance > 0.0 && radiance.is_finite());
+    if is_usual { 1.0 } else { (-radiance.log2()).round().exp2() as f32 }
+}
+
+fn scale(map: &mut Rgb, factor: f32) {
+    if factor != 1.0 {
+        map.data.iter_mut().for_each(|pixel| *pixel = pixel.map(|v| v * factor));
+    }
+}
+
+/// What to tell the user where much of the surface that views see would have to reflect all light: there must be more of it.
+fn too_bright(albedo: &Rgb, emitters: &Mask, tbl: &Tbl) -> Option<String> {
+    /// Albedo from here on is more than paint has.
+    const WHITE: f32 = 0.97;
+    const SHARE: f64 = 0.1;
+    let seen =
+        tbl.coverage.data.iter().zip(&emitters.data).map(|(coverage, emits)| *coverage == Coverage::Seen && !emits);
+    let [mut all, mut white] = [0u64; 2];
+    for (albedo, _) in albedo.data.iter().zip(seen).filter(|(_, seen)| *seen) {
+        all += 1;
+        white += u64::from(albedo.iter().any(|a| *a >= WHITE));
+    }
+    let share = white as f64 / all.max(1) as f64;
+    (share > SHARE).then(|| {
+        format!(
+            "{:.0} % of the surface that views see would have to reflect nearly all light: light is missing. Are lamps clipped in the images, \
+             turned around or missing in the mesh, or are there holes that light comes through? (`texir inspect`)",
+            100.0 * share
+        )
+    })
 }
 
 /// What a fit sets out with.
@@ -179,14 +224,17 @@ struct Lighting {
     views: Vec<View>,
 }
 
-/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
+/// The texture-based lighting that a capture brings, if it has the size that is asked for, times `unit`; else that of its training views,
+/// which are.
 fn lighting(
     backend: &mut dyn Backend,
     (given, training): (Option<&Path>, &[View]),
+    unit: f32,
     settings: &FitSettings,
     progress: &dyn Progress,
 ) -> Result<Lighting> {
-    let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
+    let mut given = given.map(|path| Tbl::read(path, progress)).transpose()?;
+    given.iter_mut().for_each(|tbl| scale(&mut tbl.radiance, unit));
     let size = match (settings.atlas_size, &given) {
         (0, Some(tbl)) => tbl.radiance.size(),
         (0, None) => {
@@ -313,7 +361,7 @@ mod tests {
         let begun = |max_memory| {
             let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
             let progress = Begun::default();
-            let lit = lighting(&mut square.backend(), (None, &views), &settings, &progress);
+            let lit = lighting(&mut square.backend(), (None, &views), 1.0, &settings, &progress);
             (lit.map(|lit| lit.views.len()).map_err(|e| e.to_string()), progress.0.into_inner().unwrap())
         };
         let (refused, tasks) = begun(ByteSize(1));

@@ -240,23 +240,17 @@ impl<'a> Finder<'a> {
         self.taken += points.len();
     }
 
-    /// The lights of a map of nothing but emission: what is too dim to be one shines from its front alone as well.
-    pub fn emitters(self) -> Lights {
-        let luminance = self.mean_luminance();
-        let mut lights = self.bright(luminance.clone());
-        let shining = lights.density.iter_mut().zip(luminance).filter(|(_, luminance)| *luminance > 0.0);
-        shining.for_each(|(density, _)| density.front_only = 1);
+    /// The lights of surfaces of which nothing is seen from behind: what is no light is black there as well. A sheet lets no light
+    /// through, and what its front reflects does not leave its back.
+    pub fn one_sided(self) -> Lights {
+        let mut lights = self.find();
+        lights.density.iter_mut().for_each(|density| density.front_only = 1);
         lights
     }
 
     /// See [`Lights::find`].
     pub fn find(self) -> Lights {
-        let luminance = self.mean_luminance();
-        self.bright(luminance)
-    }
-
-    /// The triangles that stand out among those of this luminance, sampled where they are seen.
-    fn bright(self, mut luminance: Vec<f32>) -> Lights {
+        let mut luminance = self.mean_luminance();
         let mesh = &self.scene.mesh;
         let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
         let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();

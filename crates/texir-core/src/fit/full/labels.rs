@@ -38,6 +38,8 @@ const MAX_ROUNDS: f32 = 24.0;
 const SCARCE: f32 = 0.3;
 /// What votes on the other side of something thin count: seen at a grazing angle, a door's leaf is taken for the wall behind it.
 const OTHER_SIDE: f32 = 0.5;
+/// Semantic images of which a smaller share of the votes agrees are of something else: of other photos, or not of classes.
+const AGREED: f32 = 0.7;
 /// Texels whose normals' cosine is less do not share votes: classes end at creases.
 const SAME_NORMAL: f32 = 0.9;
 
@@ -72,6 +74,14 @@ impl Labels {
             let of_view = view.room_id.unwrap_or(0);
             room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
             progress.advance(1);
+        }
+        let agreed = class.agreement();
+        if agreed < AGREED {
+            progress.warn(&format!(
+                "semantic_path: of what views say of the class of the same places, {:.0} % agrees; expected nearly all. Are the images of these \
+                 photos, and their ids those of classes, the same in every view?",
+                100.0 * agreed
+            ));
         }
         let scene = backend.scene();
         let surface = hidden::flat_surfaces(atlas, adjacency);
@@ -175,6 +185,15 @@ impl Votes {
                 ballot.add(label(*pixel), *weight);
             }
         });
+    }
+
+    /// The share of all votes that go to the winner of their texel; 1 where there are none.
+    fn agreement(&self) -> f32 {
+        let most = |ballot: &Ballot| ballot.0.iter().map(|(_, weight)| *weight).fold(0.0, f32::max);
+        let [agreed, all] = (self.0.iter()).fold([0.0; 2], |[agreed, all], ballot| {
+            [agreed + f64::from(most(ballot)), all + f64::from(ballot.weight())]
+        });
+        if all > 0.0 { (agreed / all) as f32 } else { 1.0 }
     }
 
     /// Lets texels that face alike share their votes with those around them.
@@ -303,6 +322,23 @@ mod tests {
             }
         }
         blotched
+    }
+
+    #[test]
+    fn views_agree_as_far_as_their_votes_go_to_one_label() {
+        let votes = |of_views: &[[u16; 4]]| {
+            let mut votes = Votes::default();
+            for labels in of_views {
+                let seen: Vec<_> = (0..4).map(|pixel| Some(Witness { pixel, weight: 2.0 })).collect();
+                votes.add(&seen, |pixel| labels[pixel]);
+            }
+            votes.agreement()
+        };
+        assert_eq!(votes(&[]), 1.0);
+        // 0 is no vote.
+        assert_eq!(votes(&[[1, 2, 3, 0], [1, 2, 3, 4], [1, 0, 3, 4]]), 1.0);
+        assert_eq!(votes(&[[1, 1, 1, 1], [2, 1, 2, 1]]), 0.75);
+        assert_eq!(votes(&[[1, 1, 1, 1], [2, 2, 2, 2], [3, 3, 3, 3], [4, 4, 4, 4]]), 0.25);
     }
 
     #[test]

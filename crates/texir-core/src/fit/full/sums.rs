@@ -22,9 +22,14 @@ pub fn by_group<const N: usize>(
         }
         sums
     };
-    let blocks: Vec<Vec<[f64; N]>> = group.par_chunks(BLOCK).enumerate().map(of_block).collect();
     let mut sums = vec![[0.0; N]; groups];
-    blocks.into_iter().for_each(|block| sums.iter_mut().zip(block).for_each(|(sum, terms)| add(sum, terms)));
+    // As many at a time as there are threads: groups may be many.
+    let together = rayon::current_num_threads().max(1);
+    for (k, members) in group.chunks(together * BLOCK).enumerate() {
+        let blocks: Vec<_> =
+            members.par_chunks(BLOCK).enumerate().map(|(i, members)| of_block((k * together + i, members))).collect();
+        blocks.into_iter().for_each(|block| sums.iter_mut().zip(block).for_each(|(sum, terms)| add(sum, terms)));
+    }
     sums
 }
 
