@@ -65,7 +65,7 @@ fn surfaces_that_are_missing() {
 fn views_that_contradict_the_others() {
     let capture = Capture::new();
     // The image of another place.
-    paint(&capture, "b", |i, _| [if i % WIDTH / 4 % 2 == 0 { 0.05 } else { 2.0 }; 3]);
+    paint(&capture, "b", |i, _| [if (i % WIDTH / 4).is_multiple_of(2) { 0.05 } else { 2.0 }; 3]);
     is_told(&capture, &["do not show what the others show", "\"b\"", "pose"]);
 }
 

@@ -138,25 +138,24 @@ fn surfaces_of(source: &Path, size: usize) -> Surfaces {
 fn what_emits_and_reflects_does_not_hang_on_the_size_of_the_map_nor_on_where_points_fall() {
     // A lamp of small dots, much finer than the map, and a photo repeated on a floor.
     let folder = tempfile::tempdir().unwrap();
-    let mean =
-        |of: fn(&Surfaces) -> &Rgb, (pixels, period, start): (usize, usize, usize), repeats: f32, size: usize| {
-            let is_lit = |i: usize| (i + pixels - start) % period < 2;
-            let dot = |i: usize| [if is_lit(i % pixels) && is_lit(i / pixels) { 255 } else { 0 }; 3];
-            let image = Raster { width: pixels, height: pixels, data: (0..pixels * pixels).map(dot).collect() };
-            let texture =
-                json!({ "index": 0, "extensions": { "KHR_texture_transform": { "scale": [repeats, repeats] } } });
-            let more = json!({
-                "extensionsUsed": ["KHR_texture_transform"],
-                "images": [{ "uri": png_of(&image) }], "textures": [{ "source": 0 }],
-                "materials": [{
-                    "pbrMetallicRoughness": { "baseColorTexture": texture },
-                    "emissiveTexture": texture, "emissiveFactor": [1.0, 1.0, 1.0],
-                }],
-            });
-            let surfaces = surfaces_of(&write_squares(folder.path(), &[(&[set(1.0, 0.0)], Some(0))], more), size);
-            of(&surfaces).data.iter().map(|v| v[0]).sum::<f32>() / (size * size) as f32
-        };
-    let (emission, albedo): (fn(&Surfaces) -> &Rgb, fn(&Surfaces) -> &Rgb) = (|s| &s.emission, |s| &s.albedo);
+    type Map = fn(&Surfaces) -> &Rgb;
+    let mean = |of: Map, (pixels, period, start): (usize, usize, usize), repeats: f32, size: usize| {
+        let is_lit = |i: usize| (i + pixels - start) % period < 2;
+        let dot = |i: usize| [if is_lit(i % pixels) && is_lit(i / pixels) { 255 } else { 0 }; 3];
+        let image = Raster { width: pixels, height: pixels, data: (0..pixels * pixels).map(dot).collect() };
+        let texture = json!({ "index": 0, "extensions": { "KHR_texture_transform": { "scale": [repeats, repeats] } } });
+        let more = json!({
+            "extensionsUsed": ["KHR_texture_transform"],
+            "images": [{ "uri": png_of(&image) }], "textures": [{ "source": 0 }],
+            "materials": [{
+                "pbrMetallicRoughness": { "baseColorTexture": texture },
+                "emissiveTexture": texture, "emissiveFactor": [1.0, 1.0, 1.0],
+            }],
+        });
+        let surfaces = surfaces_of(&write_squares(folder.path(), &[(&[set(1.0, 0.0)], Some(0))], more), size);
+        of(&surfaces).data.iter().map(|v| v[0]).sum::<f32>() / (size * size) as f32
+    };
+    let (emission, albedo): (Map, Map) = (|s| &s.emission, |s| &s.albedo);
     for start in [0, 4, 7, 8, 12] {
         for size in [8, 11, 64] {
             let shone = mean(emission, (128, 16, start), 1.0, size);
