@@ -8,7 +8,7 @@ use texir_core::atomic_file::write_atomic;
 use texir_core::capture::{Capture, Split};
 use texir_core::eval::{Evaluation, Table, check_sizes};
 use texir_core::fit::{FitSettings, Mode};
-use texir_core::outputs::{FitOutput, METRICS, SETTINGS, Staging};
+use texir_core::outputs::{FitOutput, METRICS, RUN, SETTINGS, Staging};
 use texir_core::raster::Gray;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -158,12 +158,15 @@ impl Ablate {
         Ok(Outcome { name: variant.name, evaluation })
     }
 
-    /// Whether this version made what is in `out` from this capture as it lies in its folder.
+    /// Whether this version made what is in `out` from this capture as it lies in its folder, and no file of that was written since.
     fn is_of_this_capture(&self, out: &Path, capture: &Capture) -> bool {
+        let written = |path: &Path| path.metadata().and_then(|known| known.modified()).ok();
+        let made = written(&out.join(RUN));
         eval::read_run(out).is_ok_and(|run| {
             run.version == env!("CARGO_PKG_VERSION")
                 && run.capture == fit::absolute(&capture.root)
                 && !self.capture.is_overridden()
+                && capture.files().iter().all(|file| written(file.as_ref()) <= made)
         })
     }
 }

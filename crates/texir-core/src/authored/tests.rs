@@ -159,13 +159,12 @@ fn what_emits_and_reflects_does_not_hang_on_the_size_of_the_map_nor_on_where_poi
     for start in [0, 4, 7, 8, 12] {
         for size in [8, 11, 64] {
             let shone = mean(emission, (128, 16, start), 1.0, size);
-            // Cells on the square's diagonal see one of its triangles, and so half of their part of the image.
-            assert!((shone * 64.0 - 1.0).abs() < 1.0 / size as f32, "from {start}, at {size}: {shone} for 1/64");
+            assert!((shone * 64.0 - 1.0).abs() < 0.01, "from {start}, at {size}: {shone} for 1/64");
         }
     }
     for (pixels, repeats) in [(16, 64.0), (24, 32.0)] {
         let reflected = mean(albedo, (pixels, 4, 1), repeats, 32);
-        assert!((reflected * 4.0 - 1.0).abs() < 0.03, "{pixels} pixels, {repeats} times: {reflected} for 1/4");
+        assert!((reflected * 4.0 - 1.0).abs() < 0.01, "{pixels} pixels, {repeats} times: {reflected} for 1/4");
     }
     // Where the map is finer than the image, it shows the image.
     let dots = mean(emission, (8, 8, 3), 1.0, 64);

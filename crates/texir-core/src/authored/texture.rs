@@ -29,7 +29,7 @@ pub(super) struct Colour {
 }
 
 impl Colour {
-    /// Linear RGB, the mean over the part of a triangle that a footprint covers. `corners` tells the triangle's coordinates of a set;
+    /// Linear RGB, the mean over a footprint on a triangle. `corners` tells the triangle's coordinates of a set;
     /// of those that it does not know the image's corner is looked up.
     pub fn over(&self, footprint: &Footprint, corners: impl Fn(usize) -> Option<[Vec2; 3]>, images: &Images) -> Vec3 {
         let texel = self.texture.as_ref().map(|texture| {
@@ -50,14 +50,19 @@ pub(super) struct Footprint {
     centre: Vec2,
     /// Along the map's columns and along its rows.
     sides: [Vec2; 2],
+    /// Whether what is beyond the triangle's edges belongs to it no more.
+    ends: bool,
 }
 
 impl Footprint {
-    /// Of the cell around a hit, where `corners` are the triangle's place in the map, in cells.
+    /// Of the cell around a hit of a texel map, where `corners` are the triangle's place in the map, in cells.
     pub fn new(hit: &Hit, [a, b, c]: [Vec2; 3]) -> Self {
         let cells = Mat2::from_cols(b - a, c - a);
-        let sides = if cells.determinant() == 0.0 { Mat2::ZERO } else { cells.inverse() };
-        Self { centre: Vec2::new(hit.u, hit.v), sides: [sides.x_axis, sides.y_axis] }
+        let area = 0.5 * cells.determinant().abs();
+        let sides = if area == 0.0 { Mat2::ZERO } else { cells.inverse() };
+        // Most triangles go on in their neighbours. Where a chart ends, the cell's centre is as often outside, which only touches it.
+        let ends = area < 1.0 || hit.t == 0.0;
+        Self { centre: Vec2::new(hit.u, hit.v), sides: [sides.x_axis, sides.y_axis], ends }
     }
 
     /// Places in it, `counts` along its sides.
@@ -90,7 +95,7 @@ impl Texture {
         Self { image, set, image_from_uv, wrap: [sampler.wrap_s(), sampler.wrap_t()] }
     }
 
-    /// The mean over what of the footprint lies in the triangle: images are finer than lightmaps, and what emits must not hang on where
+    /// The mean over the footprint: images are finer than lightmaps, and what emits must not hang on where
     /// a few points fall.
     fn over(&self, footprint: &Footprint, corners: [Vec2; 3], image: &Image) -> Vec3 {
         let [a, b, c] = corners.map(|uv| self.image_from_uv.transform_point2(uv));
@@ -99,7 +104,7 @@ impl Texture {
         let level = (widths[0].max(widths[1]) / SAMPLES).log2().ceil().clamp(0.0, image.coarse.len() as f32);
         let counts = widths.map(|width| (width / level.exp2()).ceil().clamp(1.0, SAMPLES) as u32);
         let at = |place: Vec2| image.at(level as usize, a + (b - a) * place.x + (c - a) * place.y, self.wrap);
-        let inside = |place: &Vec2| place.min_element() >= 0.0 && place.element_sum() <= 1.0;
+        let inside = |place: &Vec2| !footprint.ends || (place.min_element() >= 0.0 && place.element_sum() <= 1.0);
         let (sum, count) = footprint
             .places(counts)
             .filter(inside)
