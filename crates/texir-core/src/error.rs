@@ -54,3 +54,14 @@ impl Error {
 
 /// Result with the crate's [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Names in one message.
+const NAMED: usize = 5;
+
+/// The first of some names, and how many more there are.
+pub(crate) fn listed(names: &[String]) -> String {
+    match names.split_at_checked(NAMED) {
+        Some((first, more @ [_, ..])) => format!("{} and {} more", first.join(", "), more.len()),
+        _ => names.join(", "),
+    }
+}

@@ -181,6 +181,21 @@ mod tests {
     }
 
     #[test]
+    fn triangles_that_are_there_twice_are_dropped_but_not_those_that_face_the_other_way() {
+        let corners = [Vec3::ZERO, Vec3::X, Vec3::Y];
+        let again = [Vec3::new(-0.0, 0.0, -0.0), Vec3::X, Vec3::Y];
+        let mut mesh = Mesh {
+            positions: [corners, again].concat(),
+            normals: vec![Vec3::Z; 6],
+            uvs: vec![Vec2::ZERO; 6],
+            // The first, turned on, of other vertices, and the other way around.
+            triangles: vec![[0, 1, 2], [1, 2, 0], [3, 4, 5], [0, 2, 1]],
+        };
+        assert_eq!(mesh.drop_repeated(), 2);
+        assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 1]]);
+    }
+
+    #[test]
     fn meshes_are_misplaced_where_single_precision_is_coarse_beside_them() {
         let triangle = |size: f32, away: Vec3| Mesh {
             positions: [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| away + size * p).to_vec(),

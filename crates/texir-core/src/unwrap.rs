@@ -16,8 +16,9 @@ const SIDES: [usize; 3] = [crate::tbl::DEFAULT_SIZE, 2 * crate::tbl::DEFAULT_SIZ
 
 /// Texels that charts stay away from the borders of the atlas, half of what is between two of them.
 const MARGIN: usize = PADDING / 2;
-/// The time that it may take: what takes longer has too many charts to be of use.
+/// The time that it may take, and by how much more for every triangle: some ten times what it usually takes.
 const MOST: Duration = Duration::from_secs(20 * 60);
+const PER_TRIANGLE: Duration = Duration::from_millis(5);
 /// Columns of the smallest atlas that has room for a chart.
 pub(crate) const SMALLEST_SIDE: usize = 2 * MARGIN + 1;
 
@@ -54,21 +55,23 @@ pub(crate) fn unwrap(
         .collect();
     let density = Density::Auto { page_size: columns as u32 };
     let options = Options { density, padding: MARGIN as u32, ..Options::default() };
-    progress.start("unwrapping", surfaces.iter().map(|(_, triangles)| triangles.len() as u64).sum(), "triangles");
+    let count: usize = surfaces.iter().map(|(_, triangles)| triangles.len()).sum();
+    progress.start("unwrapping", count as u64, "triangles");
+    let most = MOST + PER_TRIANGLE * count.try_into().unwrap_or(u32::MAX);
     let (flattened, started) = (AtomicUsize::new(0), Instant::now());
     let atlas = uvunwrap::generate_with_progress(&inputs, &options, |step| {
         if step.stage == Stage::Parameterizing {
             let before = flattened.swap(step.done, Ordering::Relaxed);
             progress.advance(step.done.saturating_sub(before) as u64);
         }
-        !progress.cancelled() && started.elapsed() < MOST
+        !progress.cancelled() && started.elapsed() < most
     });
     progress.finish();
     let atlas = atlas.map_err(|e| match e {
         uvunwrap::Error::Cancelled if !progress.cancelled() => Error::invalid(format!(
-            "unwrapping was given up after {} minutes: the surface falls into too many charts; reduce it (`texir import --decimate`), smooth \
-             it, or unwrap it in another program",
-            MOST.as_secs() / 60
+            "unwrapping was given up after {} minutes: the surface falls into too many charts; reduce it (a capture's by `texir import \
+             --decimate`), smooth it, or unwrap it in another program",
+            most.as_secs() / 60
         )),
         uvunwrap::Error::Cancelled => Error::Cancelled,
         e => Error::invalid(format!("the scene cannot be unwrapped into {columns}×{columns} texels: {e}")),

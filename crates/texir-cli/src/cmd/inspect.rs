@@ -287,8 +287,9 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
         findings.warnings.extend(masked(&training, session)?);
         match Survey::new(&mut backend, &training, session.console) {
             Err(Error::Cancelled) => return Err(Error::Cancelled.into()),
-            // What cannot be read has been told.
-            found => findings.warnings.extend(found.unwrap_or_default().warnings()),
+            Ok(survey) => findings.warnings.extend(survey.warnings()),
+            Err(e) if findings.warnings.contains(&e.to_string()) => {}
+            Err(e) => findings.warnings.push(e.to_string()),
         }
     }
     let cameras: Vec<Vec3> = capture.views.iter().map(|view| view.camera.position()).collect();
@@ -446,8 +447,10 @@ fn warnings(findings: &Findings) -> Vec<String> {
     heights.sort_by(f32::total_cmp);
     if let Some(height) = heights.get(heights.len() / 2).filter(|height| !HEIGHTS.contains(*height)) {
         warnings.push(format!(
-            "half of the cameras are more than {height:.2} m above what is below them: are the units metres, and is +Z up? \
-             `texir import` takes --metres-per-unit and --up"
+            "cameras are {height:.2} m above what is below them, in the median; expected {} to {}: are the units metres, and is +Z up? \
+             `texir import` takes --metres-per-unit and --up",
+            HEIGHTS.start(),
+            HEIGHTS.end()
         ));
     }
     if findings.atlas.overlapping > 0.01 {

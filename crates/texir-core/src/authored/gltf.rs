@@ -33,6 +33,9 @@ use crate::surface::{Hit, SurfacePoint};
 /// Cells per texel and axis over which materials are looked up: a texel may show several triangles.
 const LOOKUPS: usize = 2;
 
+/// Normals against the front are told of where they are on more than this share of the surface.
+const FEW: f64 = 1e-3;
+
 /// Angles in files may be off by so many radians, from degrees with few digits.
 const ROUNDED: f32 = 1e-3;
 
@@ -233,9 +236,13 @@ impl Model {
             let front = self.mesh.face_normal(*triangle);
             self.mesh.corner_normals(*triangle).iter().all(|normal| normal.dot(front) < 0.0)
         };
-        let all = 0..self.mesh.triangles.len() as u32;
-        let count = all.filter(away).count();
-        (count > 0).then(|| {
+        let area = |of: &dyn Fn(&u32) -> bool| -> f64 {
+            let all = 0..self.mesh.triangles.len() as u32;
+            all.filter(|triangle| of(triangle)).map(|triangle| f64::from(self.mesh.area(triangle))).sum()
+        };
+        let count = (0..self.mesh.triangles.len() as u32).filter(away).count();
+        // Slivers between smooth neighbours may have them.
+        (area(&away) > FEW * area(&|_| true)).then(|| {
             format!(
                 "{count} triangles have normals that point away from where their corners run counter-clockwise: they take light on the \
                  side of their normals, and shine from the other; turn either around"

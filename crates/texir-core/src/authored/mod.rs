@@ -41,17 +41,6 @@ use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 
-/// Names in one message.
-const NAMED: usize = 5;
-
-/// The first of some names, and how many more there are.
-fn listed(names: &[String]) -> String {
-    match names.split_at_checked(NAMED) {
-        Some((first, more @ [_, ..])) => format!("{} and {} more", first.join(", "), more.len()),
-        _ => names.join(", "),
-    }
-}
-
 /// What an authored scene emits and reflects, per texel of the lightmap, and the light that is not on its surfaces.
 #[derive(Clone, Debug)]
 pub struct Surfaces {

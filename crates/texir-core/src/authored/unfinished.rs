@@ -1,6 +1,7 @@
 //! What to tell the user where bounces ended too early.
 
-use super::{Model, Solved, listed};
+use super::{Model, Solved};
+use crate::error::listed;
 
 /// A bounce that brings this share of the light of the one before is as bright as that: noise hides the rest.
 const STEADY: f64 = 0.99;

@@ -1,10 +1,12 @@
 //! Light that does not arrive where it is looked for: at the fronts of faces, which are what a lightmap holds.
 
+use std::f32::consts::PI;
+
 use super::solve::{DARK, finder, reflected};
-use super::{Model, Surfaces, listed};
+use super::{Model, Surfaces};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::bake::{Solution, Texels};
-use crate::error::Result;
+use crate::error::{Result, listed};
 use crate::progress::Progress;
 use crate::raster::luminance;
 use crate::surface::SurfacePoint;
@@ -46,23 +48,32 @@ pub fn unlit(
         return Ok(Vec::new());
     }
     let mesh = &backend.scene().mesh;
-    let behind: Vec<SurfacePoint> = points.iter().map(|(_, point)| point.behind(mesh)).collect();
+    let behind: Vec<SurfacePoint> = points.iter().map(|suspect| suspect.point.behind(mesh)).collect();
     let light = light_at(backend, texels, surfaces, solution, &behind, progress)?;
-    points.iter().zip(light).for_each(|((part, _), light)| parts[*part].lit += usize::from(light >= LIT * mean));
+    for (suspect, _) in points.iter().zip(light).filter(|(_, light)| *light >= LIT * mean) {
+        let Looked { lit, shining, .. } = &mut parts[suspect.part];
+        *(if suspect.shines { shining } else { lit }) += 1;
+    }
     Ok(parts_lit_from_behind(model, &parts))
 }
 
-/// The index of a primitive, and a point on it.
-type OfPart = (usize, SurfacePoint);
+/// A point that is looked at from behind.
+struct Suspect {
+    /// The index of its primitive.
+    part: usize,
+    point: SurfacePoint,
+    /// Whether it shines; if not, its front is dark.
+    shines: bool,
+}
 
 /// What was looked at of a primitive.
 #[derive(Clone, Copy, Default)]
 struct Looked {
     texels: usize,
-    /// Those that shine.
-    shining: usize,
-    /// Those that are dark in front, or shine, and are lit behind.
+    /// Those that are dark in front, and lit behind.
     lit: usize,
+    /// Those that shine, and are lit behind.
+    shining: usize,
 }
 
 /// Texels of double-sided primitives, some of each, that shine or have less irradiance than `dark`, with the index of their primitive;
@@ -73,7 +84,7 @@ fn suspects(
     surfaces: &Surfaces,
     solution: &Solution,
     dark: f32,
-) -> Result<(Vec<OfPart>, Vec<Looked>)> {
+) -> Result<(Vec<Suspect>, Vec<Looked>)> {
     let double: Vec<bool> = model.parts.iter().map(|part| model.is_double_sided(part)).collect();
     let (mut points, mut looked) = (Vec::new(), vec![Looked::default(); double.len()]);
     if !double.contains(&true) {
@@ -91,11 +102,11 @@ fn suspects(
         let part = part_of(point);
         let chosen = double[part] && usize::is_multiple_of(passed[part], stride(counts[part]));
         passed[part] += 1;
-        let shines = chosen && surfaces.emission.data[point.sequence as usize] != [0.0; 3];
         looked[part].texels += usize::from(chosen);
-        looked[part].shining += usize::from(shines);
-        if shines || chosen && seen && luminance(&irradiance) < dark {
-            points.push((part, *point));
+        // More than the noise of an image.
+        let shines = PI * luminance(&surfaces.emission.data[point.sequence as usize]) > dark;
+        if chosen && (shines || seen && luminance(&irradiance) < dark) {
+            points.push(Suspect { part, point: *point, shines });
         }
     })?;
     Ok((points, looked))
@@ -132,20 +143,20 @@ fn light_at(
 
 /// What to tell the user of primitives after they were looked at.
 fn parts_lit_from_behind(model: &Model, parts: &[Looked]) -> Vec<String> {
-    let told = |looked: &Looked| looked.lit > 0 && looked.lit as f32 >= SHARE * looked.texels as f32;
-    let names = |shining: bool| -> Vec<String> {
-        let of = model.parts.iter().zip(parts).filter(|(_, looked)| told(looked) && (looked.shining > 0) == shining);
+    let names = |count: fn(&Looked) -> usize| -> Vec<String> {
+        let told = |looked: &Looked| count(looked) > 0 && count(looked) as f32 >= SHARE * looked.texels as f32;
+        let of = model.parts.iter().zip(parts).filter(|(_, looked)| told(looked));
         of.map(|(part, _)| format!("\"{}\"", part.name)).collect()
     };
     let sentence = |names: Vec<String>, what: &str| {
         (!names.is_empty()).then(|| format!("double-sided surfaces ({}) {what}: {}", names.len(), listed(&names)))
     };
     let dark = sentence(
-        names(false),
+        names(|looked| looked.lit),
         "are lit from behind, where only the light of their fronts is baked, so that they are black; turn their faces around",
     );
     let shining = sentence(
-        names(true),
+        names(|looked| looked.shining),
         "shine from their fronts alone, from where their corners run counter-clockwise, and have lit surfaces behind them; where these \
          miss the light, turn their faces around or give them a second sheet",
     );

@@ -159,6 +159,12 @@ fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
         ));
         return;
     }
+    // Photos in portrait are often stored lying down, and those of a floor or a ceiling alone have no up.
+    let steep =
+        |axis: fn(&View) -> f32| views.iter().map(|view| axis(view).abs()).sum::<f32>() > UPRIGHT * views.len() as f32;
+    if steep(|view| view.camera.world_from_camera.x_axis.z) || steep(|view| view.camera.world_from_camera.z_axis.z) {
+        return;
+    }
     let up =
         views.iter().map(|view| view.camera.world_from_camera.y_axis.truncate()).sum::<Vec3>() / views.len() as f32;
     // Whoever turns the camera every way shows no up.

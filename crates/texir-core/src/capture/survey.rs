@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::View;
 use crate::backend::Backend;
-use crate::error::Result;
+use crate::error::{Result, listed};
 use crate::progress::Progress;
 use crate::raster::{Rgb, luminance, mean_pixel};
 
@@ -80,11 +80,13 @@ impl Survey {
         let (mut shown, mut cells) = (Vec::with_capacity(views.len()), Vec::new());
         for (index, view) in views.iter().enumerate() {
             progress.check()?;
-            let image = view.load_image(progress)?;
-            let largest = largest(&image);
+            // What ends at a value does so in the file, before anything is made of it.
+            let plain = View { scale: [1.0; 3], blur: 0.0, ..view.clone() }.load_image(progress)?;
+            let largest = largest(&plain);
             let reduced = (1..=view.camera.width.div_ceil(COLUMNS)).rev().find_map(|factor| view.reduced(factor));
             let view = reduced.as_ref().unwrap_or(view);
-            let image = image.reduced(view.reduction / views[index].reduction, mean_pixel);
+            let reduced = plain.reduced(view.reduction / views[index].reduction, mean_pixel);
+            let image = reduced.map(|pixel| std::array::from_fn(|c| pixel[c] * view.scale[c]));
             let mut of_view = Shown {
                 name: view.name.clone(),
                 behind: Share::default(),
@@ -103,6 +105,11 @@ impl Survey {
         Ok(Self(shown))
     }
 
+    /// What each view shows.
+    pub fn views(&self) -> &[Shown] {
+        &self.0
+    }
+
     /// Mean radiance over all directions of all views.
     pub fn radiance(&self) -> f64 {
         let all = self.sum(|shown| shown.all);
@@ -112,6 +119,9 @@ impl Survey {
     /// What users are told, in sentences.
     pub fn warnings(&self) -> Vec<String> {
         let mut told = Vec::new();
+        if self.0.is_empty() {
+            return told;
+        }
         let [behind, open, all] =
             [|s: &Shown| s.behind, |s: &Shown| s.open, |s: &Shown| s.all].map(|part| self.sum(part));
         let exceeds = |part: Share, [light, directions]: [f64; 2]| {
@@ -172,16 +182,17 @@ impl Survey {
 
     fn clipped(&self) -> Option<String> {
         let clipped: Vec<&Shown> = self.0.iter().filter(|shown| shown.largest.1 > CLIPPED).collect();
-        let first = clipped.first()?;
-        let (value, share) = first.largest;
-        // A lamp may be even; where it is white as well, one image alone proves nothing.
-        let same = clipped.iter().filter(|shown| shown.largest.0 == value).count();
-        (same > 1 || self.0.len() == 1).then(|| {
+        let alike = |a: &Shown| clipped.iter().filter(|b| is_at(b.largest.0, a.largest.0)).count();
+        let most = clipped.iter().max_by_key(|shown| alike(shown))?;
+        let ((value, share), count) = (most.largest, alike(most));
+        // One image alone proves nothing where there are others.
+        (count > 1 || self.0.len() == 1).then(|| {
             format!(
-                "{same} training images end at {value}, which {:.1} % of the pixels of {:?} have in several channels: are lamps or windows \
-                 clipped? What is missing of their light, albedo makes up for; merge shorter exposures into the images (`texir hdr`)",
+                "{count} training images end at {value}, which {:.1} % of the pixels of {:?} have in several channels: are lamps or windows \
+                 clipped (or is it an even, white lamp)? What is missing of their light, albedo makes up for; merge shorter exposures into \
+                 the images (`texir hdr`)",
                 100.0 * share,
-                first.name
+                most.name
             )
         })
     }
@@ -193,21 +204,24 @@ impl Survey {
         let most = (TIMES * median(&mut spreads)).max(OFF);
         let (off, others): (Vec<_>, Vec<_>) = known.into_iter().partition(|(_, agreement)| agreement.spread > most);
         let names = |views: &[(&Shown, Agreement)]| {
-            views.iter().map(|(shown, _)| format!("{:?}", shown.name)).collect::<Vec<_>>().join(", ")
+            listed(&views.iter().map(|(shown, _)| format!("{:?}", shown.name)).collect::<Vec<_>>())
         };
         let exposed: Vec<_> = others.into_iter().filter(|(_, agreement)| agreement.exposure.abs() > EXPOSED).collect();
         let mut told = Vec::new();
         if !off.is_empty() {
             told.push(format!(
-                "views that do not show what the others show of the same places: {}; is it their pose, or their image?",
+                "views that do not show what the others show of the same places: {}; is it their pose, or their image, or was something moved, \
+                 or a lamp switched?",
                 names(&off)
             ));
         }
-        if let Some((_, agreement)) = exposed.iter().max_by(|a, b| a.1.exposure.abs().total_cmp(&b.1.exposure.abs())) {
+        if let Some((most, agreement)) = exposed.iter().max_by(|a, b| a.1.exposure.abs().total_cmp(&b.1.exposure.abs()))
+        {
             told.push(format!(
-                "views that are brighter or darker than the others show the same places: {} (by {:.2} times the most): \
-                 --solve-exposure brings them together, unless the light was changed between them",
+                "views that are brighter or darker than the others show the same places: {} ({:?} {:.2} times as bright): --solve-exposure \
+                 brings them together, unless the light was changed between them",
                 names(&exposed),
+                most.name,
                 agreement.exposure.exp()
             ));
         }
@@ -269,10 +283,15 @@ fn cell(at: Vec3, front: Vec3) -> Cell {
     ((at / CELL).floor().as_ivec3().to_array(), 2 * axis as u8 + u8::from(front[axis] < 0.0))
 }
 
+/// Whether a value is another, but for what resampling does to it.
+fn is_at(value: f32, other: f32) -> bool {
+    (value - other).abs() <= 1e-3 * other
+}
+
 /// The largest value of an image, and the share of its pixels that have it in two channels or more.
 fn largest(image: &Rgb) -> (f32, f64) {
     let most = image.data.iter().flatten().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
-    let at_it = |pixel: &&[f32; 3]| pixel.iter().filter(|v| **v == most).count() >= 2;
+    let at_it = |pixel: &&[f32; 3]| pixel.iter().filter(|v| is_at(**v, most)).count() >= 2;
     let count = if most > 0.0 { image.data.iter().filter(at_it).count() } else { 0 };
     (most, count as f64 / image.data.len().max(1) as f64)
 }

@@ -479,6 +479,33 @@ fn cameras_upside_down_are_warned_about() {
 }
 
 #[test]
+fn worlds_that_are_not_z_up_are_warned_about() {
+    let warned = |roll: f64, up: [usize; 3]| {
+        let folder = capture();
+        edit(&folder, |document| {
+            for (i, yaw) in [0.0f64, 60.0, 90.0].into_iter().enumerate() {
+                let ((sin, cos), (s, c)) = (yaw.to_radians().sin_cos(), roll.to_radians().sin_cos());
+                // Right, up and backwards of a camera that looks about the second axis, rolled.
+                let (right, upwards) = ([cos, 0.0, -sin], [0.0, 1.0, 0.0]);
+                let rolled = [0, 1, 2]
+                    .map(|k| (c * right[k] + s * upwards[k], c * upwards[k] - s * right[k], [sin, 0.0, cos][k]));
+                let matrix = &mut document["frames"][i]["transform_matrix"];
+                for (k, (x, y, z)) in up.iter().zip(rolled) {
+                    (matrix[*k][0], matrix[*k][1], matrix[*k][2]) = (json!(x), json!(y), json!(z));
+                }
+            }
+        });
+        load_warned(&folder).1.into_iter().filter(|told| told.contains("transform_matrix: up is")).collect::<Vec<_>>()
+    };
+    let y_up = warned(0.0, [0, 1, 2]);
+    assert_eq!(y_up.len(), 1, "{y_up:?}");
+    assert_says(&y_up[0], &["transforms.json", "up is [0.0, 1.0, 0.0]", "+Z in the world", "texir import --up"]);
+    // Negative controls: +Z is up, also in photos that lie on their side.
+    assert!(warned(0.0, [1, 2, 0]).is_empty());
+    assert!(warned(90.0, [1, 2, 0]).is_empty());
+}
+
+#[test]
 fn principal_points_outside_of_the_image_are_warned_about() {
     let warned = |cx: f64, cy: f64| {
         let folder = capture();

@@ -116,13 +116,9 @@ pub fn fit(
     let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
-    let mut training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let survey = Survey::new(backend, &training, progress)?;
-    survey.warnings().iter().for_each(|what| progress.warn(&format!("{}: {what}", capture.root.display())));
-    let unit = unit(survey.radiance());
-    training.iter_mut().for_each(|view| view.scale = view.scale.map(|factor| factor * unit));
-    let Lighting { mut tbl, atlas, views } =
-        lighting(backend, (capture.tbl.as_deref(), &training), unit, settings, progress)?;
+    let training: Vec<View> = capture.views(Split::Train).cloned().collect();
+    let Lighting { mut tbl, atlas, training, views, unit } =
+        lighting(backend, (capture.tbl.as_deref(), training), settings, progress)?;
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(&scene.mesh, &atlas);
@@ -185,7 +181,8 @@ const USUAL: RangeInclusive<f64> = 1e-3..=1e3;
 /// little; a power of two.
 fn unit(radiance: f64) -> f32 {
     let is_usual = USUAL.contains(&radiance) || !(radiance > 0.0 && radiance.is_finite());
-    if is_usual { 1.0 } else { (-radiance.log2()).round().exp2() as f32 }
+    // The inverse is a number as well.
+    if is_usual { 1.0 } else { (-radiance.log2()).round().clamp(-120.0, 120.0).exp2() as f32 }
 }
 
 fn scale(map: &mut Rgb, factor: f32) {
@@ -220,25 +217,26 @@ fn too_bright(albedo: &Rgb, emitters: &Mask, tbl: &Tbl) -> Option<String> {
 struct Lighting {
     tbl: Tbl,
     atlas: Atlas,
-    /// The training views, as the fit of materials reads them.
+    /// The training views,
+    training: Vec<View>,
+    /// and as the fit of materials reads them.
     views: Vec<View>,
+    /// What all of its light was multiplied with: see [`unit`].
+    unit: f32,
 }
 
-/// The texture-based lighting that a capture brings, if it has the size that is asked for, times `unit`; else that of its training views,
-/// which are.
+/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
 fn lighting(
     backend: &mut dyn Backend,
-    (given, training): (Option<&Path>, &[View]),
-    unit: f32,
+    (given, mut training): (Option<&Path>, Vec<View>),
     settings: &FitSettings,
     progress: &dyn Progress,
 ) -> Result<Lighting> {
-    let mut given = given.map(|path| Tbl::read(path, progress)).transpose()?;
-    given.iter_mut().for_each(|tbl| scale(&mut tbl.radiance, unit));
+    let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
     let size = match (settings.atlas_size, &given) {
         (0, Some(tbl)) => tbl.radiance.size(),
         (0, None) => {
-            let side = memory::default_side(training, &backend.scene().mesh, settings);
+            let side = memory::default_side(&training, &backend.scene().mesh, settings);
             (side, side)
         }
         (size, _) => (size, size),
@@ -253,15 +251,22 @@ fn lighting(
     let is_given = given.is_some();
     let atlas = Atlas::new(backend, size.0, size.1)?;
     // Before the first long step: what does not fit in memory is refused.
-    let views = memory::affordable(training, (&backend.scene().mesh, &atlas), settings, progress)?;
+    let mut views = memory::affordable(&training, (&backend.scene().mesh, &atlas), settings, progress)?;
+    let survey = Survey::new(backend, &training, progress)?;
+    survey.warnings().iter().for_each(|what| progress.warn(what));
+    let unit = unit(survey.radiance());
+    training.iter_mut().chain(&mut views).for_each(|view| view.scale = view.scale.map(|factor| factor * unit));
     let mut tbl = match given {
-        Some(tbl) => tbl,
-        None => tbl::build_in(backend, &atlas, training, &TblOptions::default(), progress)?,
+        Some(mut tbl) => {
+            scale(&mut tbl.radiance, unit);
+            tbl
+        }
+        None => tbl::build_in(backend, &atlas, &training, &TblOptions::default(), progress)?,
     };
     if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
-        tbl = tbl::resolve_sources(backend, &atlas, &tbl, training, progress)?;
+        tbl = tbl::resolve_sources(backend, &atlas, &tbl, &training, progress)?;
     }
-    Ok(Lighting { tbl, atlas, views })
+    Ok(Lighting { tbl, atlas, training, views, unit })
 }
 
 /// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by their
@@ -338,6 +343,31 @@ mod tests {
     use super::*;
     use crate::fit::lit_square::{LitSquare, SIDE};
 
+    #[test]
+    fn light_of_unusual_brightness_is_brought_to_about_one_and_back() {
+        assert_eq!([1e-3, 0.3, 1.0, 1e3, 0.0, f64::NAN, f64::INFINITY].map(unit), [1.0; 7]);
+        for radiance in [1e-300, 1e-30, 1e-4, 2e3, 1e30, 1e300] {
+            let unit = unit(radiance);
+            assert!(unit.is_normal() && unit.recip().is_normal() && unit * unit.recip() == 1.0, "{radiance}: {unit}");
+        }
+        for radiance in [1e-30, 1e-4, 2e3, 1e30] {
+            assert!((0.7..1.5).contains(&(radiance * f64::from(unit(radiance)))), "{radiance}");
+        }
+    }
+
+    #[test]
+    fn surfaces_that_would_reflect_all_light_are_told_where_they_are_many() {
+        let told = |white: usize, coverage: Coverage| {
+            let albedo = Rgb::new(10, 10, (0..100).map(|i| [0.5, if i < white { 0.98 } else { 0.5 }, 0.5]).collect());
+            let tbl = Tbl { radiance: Rgb::filled(10, 10, [1.0; 3]), coverage: Raster::filled(10, 10, coverage) };
+            too_bright(&albedo.unwrap(), &Mask::filled(10, 10, false), &tbl)
+        };
+        assert!(told(20, Coverage::Seen).unwrap().starts_with("20 % of the surface"));
+        // Negative controls: a few, and what no view sees.
+        assert_eq!(told(5, Coverage::Seen), None);
+        assert_eq!(told(20, Coverage::Inpainted), None);
+    }
+
     /// Takes down what is begun.
     #[derive(Default)]
     struct Begun(Mutex<Vec<String>>);
@@ -361,7 +391,7 @@ mod tests {
         let begun = |max_memory| {
             let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
             let progress = Begun::default();
-            let lit = lighting(&mut square.backend(), (None, &views), 1.0, &settings, &progress);
+            let lit = lighting(&mut square.backend(), (None, views.clone()), &settings, &progress);
             (lit.map(|lit| lit.views.len()).map_err(|e| e.to_string()), progress.0.into_inner().unwrap())
         };
         let (refused, tasks) = begun(ByteSize(1));

@@ -135,7 +135,10 @@ pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
         Format::OpenExr => exr::check_whole(path),
         format => reader(path, format)?.decode().map(drop).map_err(|e| e.to_string()),
     };
-    whole.map_err(|e| Error::file(path, format!("cannot be read to its end ({e}): is it damaged, cut short, or of a kind that is not read? copy or export it again")))
+    whole.map_err(|e| Error::file(path, format!(
+                "cannot be read to its end ({e}): is it damaged, cut short, or of a kind that is not read? copy or export it \
+                 again"
+            )))
 }
 
 /// Linear RGB of Rec. 709: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone; converted where the

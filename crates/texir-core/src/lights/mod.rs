@@ -43,7 +43,7 @@ pub struct LightDensity {
     pub per_area: f32,
     /// The triangle's cluster; 0 for what is no light.
     pub cluster: u32,
-    /// 1 where its back is black, as a light's is; 0 where either side shows the same radiance.
+    /// 1 where its back is black, as a light's is, and that of all surfaces of an authored scene; 0 where either side shows the same radiance.
     pub front_only: u32,
 }
 
