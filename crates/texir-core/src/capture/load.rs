@@ -160,8 +160,7 @@ fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
         return;
     }
     // Photos in portrait are often stored lying down, and those of a floor or a ceiling alone have no up.
-    let steep =
-        |axis: fn(&View) -> f32| views.iter().map(|view| axis(view).abs()).sum::<f32>() > UPRIGHT * views.len() as f32;
+    let steep = |axis: fn(&View) -> f32| views.iter().map(axis).sum::<f32>().abs() > UPRIGHT * views.len() as f32;
     if steep(|view| view.camera.world_from_camera.x_axis.z) || steep(|view| view.camera.world_from_camera.z_axis.z) {
         return;
     }
