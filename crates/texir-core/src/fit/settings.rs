@@ -237,6 +237,19 @@ impl Default for KinSettings {
     }
 }
 
+/// When a part of a segment is believed to have a roughness of its own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnSettings {
+    /// Pull of the segment's on it.
+    pub pull: f32,
+    /// By how much it must explain the part's pixels better to be believed half, where each half of the views judges by the one that
+    /// the other half asks for: the fall of the logarithm of the mean cost,
+    pub agreement: f32,
+    /// which counts half with so many pixels, and less with fewer.
+    pub half_pixels: f32,
+}
+
 /// Straight lines along the rows and columns of the atlas.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -261,13 +274,8 @@ pub struct JointSettings {
     pub length: f32,
     /// Share of a segment's texels that its darker or its brighter lines must have.
     pub least_share: f32,
-    /// Pull of the surface on its joints.
-    pub pull: f32,
-    /// By how much a roughness of their own must explain them better to be believed half, where each half of the views judges by the
-    /// one that the other half asks for: the fall of the logarithm of the mean cost,
-    pub agreement: f32,
-    /// which counts half with so many pixels, and less with fewer.
-    pub half_pixels: f32,
+    /// When they are believed to have one.
+    pub own: OwnSettings,
 }
 
 impl Default for JointSettings {
@@ -278,9 +286,7 @@ impl Default for JointSettings {
             contrast: 0.15,
             length: 0.04,
             least_share: 0.02,
-            pull: 0.03,
-            agreement: 0.02,
-            half_pixels: 1000.0,
+            own: OwnSettings { pull: 0.03, agreement: 0.02, half_pixels: 1000.0 },
         }
     }
 }
@@ -356,10 +362,8 @@ pub struct RoughnessSettings {
     pub segment_pixels: f32,
     /// What segments are akin to.
     pub kin: KinSettings,
-    /// Pull of a segment on each of its colours,
-    pub colour_pull: f32,
-    /// which must have this many pixels to be believed half.
-    pub colour_pixels: f32,
+    /// Between the colours of a segment.
+    pub colours: OwnSettings,
     /// Within colours.
     pub local: LocalSettings,
     /// Between boards and tiles.
@@ -515,8 +519,7 @@ impl Default for RoughnessSettings {
             segment_pull: 0.3,
             segment_pixels: 100.0,
             kin: KinSettings::default(),
-            colour_pull: 1.0,
-            colour_pixels: 100.0,
+            colours: OwnSettings { pull: 0.1, agreement: 0.02, half_pixels: 1000.0 },
             local: LocalSettings::default(),
             joints: JointSettings::default(),
         }
@@ -619,8 +622,9 @@ impl FullSettings {
             positive("full.roughness.kin.colour", r.kin.colour),
             share("full.roughness.kin.other_room", r.kin.other_room),
             share("full.roughness.kin.other_class", r.kin.other_class),
-            not_negative("full.roughness.colour_pull", r.colour_pull),
-            not_negative("full.roughness.colour_pixels", r.colour_pixels),
+            not_negative("full.roughness.colours.pull", r.colours.pull),
+            positive("full.roughness.colours.agreement", r.colours.agreement),
+            not_negative("full.roughness.colours.half_pixels", r.colours.half_pixels),
             positive("full.roughness.local.block", r.local.block),
             positive("full.roughness.local.gain", r.local.gain),
             not_negative("full.roughness.local.half_pixels", r.local.half_pixels),
@@ -628,9 +632,9 @@ impl FullSettings {
             positive("full.roughness.joints.contrast", r.joints.contrast),
             positive("full.roughness.joints.length", r.joints.length),
             share("full.roughness.joints.least_share", r.joints.least_share),
-            not_negative("full.roughness.joints.pull", r.joints.pull),
-            positive("full.roughness.joints.agreement", r.joints.agreement),
-            not_negative("full.roughness.joints.half_pixels", r.joints.half_pixels),
+            not_negative("full.roughness.joints.own.pull", r.joints.own.pull),
+            positive("full.roughness.joints.own.agreement", r.joints.own.agreement),
+            not_negative("full.roughness.joints.own.half_pixels", r.joints.own.half_pixels),
             share("full.palette.strength", p.strength),
             positive("full.palette.bandwidth", p.bandwidth),
             ("full.palette.colours", p.colours as f32, (1..=256).contains(&p.colours), "1 to 256"),

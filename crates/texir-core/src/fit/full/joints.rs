@@ -10,12 +10,12 @@ use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Roughness};
 use super::lines::{Covered, Line, Paint};
-use super::local::half_at;
+use super::own::{self, Said};
 use super::scan::{Tally, cost};
 use super::share::Share;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
-use crate::fit::settings::{JointSettings, RoughnessSettings};
+use crate::fit::settings::{JointSettings, OwnSettings, RoughnessSettings};
 use crate::progress::Progress;
 use crate::specular_table::{NODES, node};
 use crate::texture::Rows;
@@ -44,7 +44,7 @@ pub struct Joint {
 impl Joint {
     /// The roughness of a texel that a joint covers so much of, whose surface has this one.
     pub fn on(&self, surface: f32, share: f32) -> f32 {
-        mixed(surface, surface * (self.roughness / surface).powf(self.believed), share)
+        mixed(surface, own::towards(surface, self.roughness, self.believed), share)
     }
 }
 
@@ -62,15 +62,6 @@ pub struct Judges<'a> {
     pub say: &'a [f32],
     /// half of the views ([`Evidence::halves`](super::scan::Evidence::halves)).
     pub half: &'a [u8],
-}
-
-/// What the pixels that see a group's lines say, by their share of them.
-#[derive(Clone, Copy, Default)]
-struct Said {
-    /// At the tried nodes.
-    other: Tally,
-    /// Σ of their costs where lines are as rough as their surface.
-    same: f64,
 }
 
 /// Lines that may be joints.
@@ -200,7 +191,7 @@ pub fn find<'a>(
     let said = scan(problem, judges, (albedo, roughness), lines, settings, progress)?;
     let capped = |joint: Joint| Joint { roughness: joint.roughness.min(settings.cap), ..joint };
     let of_group =
-        said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], &settings.joints).map(capped)).collect();
+        said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], &settings.joints.own).map(capped)).collect();
     Ok(Joints { lines, segment: problem.segment.0, of_group })
 }
 
@@ -229,7 +220,7 @@ fn means(roughness: &[f32], (segment, segments): (&[u32], usize)) -> Vec<f32> {
     sums.into_iter().map(|(sum, count)| (sum / f64::from(count.max(1))) as f32).collect()
 }
 
-/// What the pixels of each half of the views say about every group.
+/// What the pixels of each half of the views say about every group, by their share of its lines.
 fn scan(
     problem: &AlbedoProblem<'_>,
     judges: Judges<'_>,
@@ -290,25 +281,11 @@ fn between(least: usize, at: impl Fn(usize) -> f32) -> f32 {
 }
 
 /// What a group's lines are, if not like their surface, whose roughness is `parent`.
-fn decide(said: &[Said; 2], parent: f32, settings: &JointSettings) -> Option<Joint> {
+fn decide(said: &[Said; 2], parent: f32, settings: &OwnSettings) -> Option<Joint> {
+    let believed = own::believed(said, tried, parent, settings);
     let both = Tally::sum(said.iter().map(|half| &half.other));
-    if both.pixels == 0.0 {
-        return None;
-    }
-    let against =
-        |said: &Tally, k: usize| said.ln_mean(said.cost[k]) + settings.pull * (2.0 * (node(k) - parent)).powi(2);
-    let best = |said: &Tally| tried().min_by(|a, b| against(said, *a).total_cmp(&against(said, *b)));
-    // Each half judges what the other one asks for.
-    let judged = |by: &Said, other: &Said| match best(&other.other) {
-        Some(k) if other.other.pixels > 0.0 => by.other.cost[k],
-        _ => by.same,
-    };
-    let [first, second] = said;
-    let gain = both.ln_mean(first.same + second.same) - both.ln_mean(judged(first, second) + judged(second, first));
-    let pixels = both.pixels as f32;
-    let believed = half_at(settings.agreement, gain * pixels / (pixels + settings.half_pixels));
-    let least = best(&both).filter(|_| believed > 0.0)?;
-    Some(Joint { roughness: between(least, |k| against(&both, k)), believed })
+    let least = own::asked(&both, tried(), parent, settings).filter(|_| believed > 0.0)?;
+    Some(Joint { roughness: between(least, |k| own::against(&both, k, parent, settings)), believed })
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::own::half_at;
 use super::scan::{Evidence, Tally, minimum};
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::LocalSettings;
@@ -123,11 +124,6 @@ fn two_finishes((blocks, plain): (&Blocks, &Blocks), whole: &[f32], settings: &L
     });
     let of_block = |share: &f64| times[0] + *share as f32 * (times[1] - times[0]);
     blocks.iter().map(|(place, _)| *place).zip(rough.iter().map(of_block)).collect()
-}
-
-/// How far something is believed that is believed half at `half`: not at all at half of that, and fully at half more.
-pub(super) fn half_at(half: f32, value: f32) -> f32 {
-    (value / half - 0.5).clamp(0.0, 1.0)
 }
 
 /// The two nodes, smoother first, that explain the blocks best: of all pairs, each block taking the better of the two, and

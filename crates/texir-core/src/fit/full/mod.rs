@@ -23,6 +23,7 @@ pub mod local;
 pub mod metals;
 pub mod nodes;
 pub mod observations;
+pub mod own;
 pub mod palette;
 mod reflections;
 pub mod regular;
@@ -54,7 +55,6 @@ use crate::mesh::Mesh;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::AlbedoProblem;
-use hierarchy::{Parent, settle};
 use joints::{Judges, Lines};
 use labels::Labels;
 use local::Surface;
@@ -330,7 +330,7 @@ fn heaviest(seen: &Observations, segment: &[u32]) -> Vec<u32> {
     segment.par_iter().enumerate().map(of_pixel).collect()
 }
 
-/// Roughness of every texel, by the colours of its segment.
+/// Roughness of every texel: its segment's, and where the views agree that its colour has one of its own, that.
 fn by_colour(
     surface: &Surface<'_>,
     (palettes, albedo): (&Palettes, &[Vec3A]),
@@ -341,12 +341,13 @@ fn by_colour(
     let most = palettes.most() as u32;
     let colour: Vec<u32> =
         (surface.segment, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
-    let group: Vec<u32> = surface.heaviest.iter().map(|&t| if t == NONE { NONE } else { colour[t as usize] }).collect();
-    let (pull, pixels) = (settings.colour_pull, settings.colour_pull * settings.colour_pixels);
-    let of_segment = |roughness: &f32| [Parent { roughness: *roughness, pull, pixels }];
-    let parent: Vec<[Parent; 1]> = by_segment.iter().flat_map(|r| repeat_n(of_segment(r), most as usize)).collect();
-    let settled = settle(&evidence.by_group(&group, parent.len()), &parent);
-    colour.iter().map(|&g| settled[g as usize]).collect()
+    let of_pixel = |(&t, &half): (&u32, &u8)| if t == NONE { NONE } else { 2 * colour[t as usize] + u32::from(half) };
+    let group: Vec<u32> = surface.heaviest.par_iter().zip(surface.half).map(of_pixel).collect();
+    let halves = evidence.by_group(&group, 2 * most as usize * by_segment.len());
+    let parents = by_segment.iter().flat_map(|r| repeat_n(*r, most as usize));
+    let own: Vec<f32> =
+        halves.as_chunks().0.iter().zip(parents).map(|(said, r)| own::of_part(said, r, &settings.colours)).collect();
+    colour.iter().map(|&g| own[g as usize]).collect()
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::brdf::Masking;
 use crate::cpu::CpuBackend;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
-use crate::fit::settings::{AlbedoSettings, JointSettings, RoughnessSettings};
+use crate::fit::settings::{AlbedoSettings, JointSettings, OwnSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
@@ -313,8 +313,10 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
 fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
     let found = |is_joint: fn(usize) -> bool, length: f32, paint: f32, finish: f32| {
+        let defaults = JointSettings::default();
+        let own = defaults.own.clone();
         let roughness = RoughnessSettings {
-            joints: JointSettings { width: 0.25, length, half_pixels: 50.0, ..JointSettings::default() },
+            joints: JointSettings { width: 0.25, length, own: OwnSettings { half_pixels: 50.0, ..own }, ..defaults },
             ..RoughnessSettings::default()
         };
         let material = |t: usize| match is_joint(t) {
