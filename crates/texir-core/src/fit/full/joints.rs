@@ -190,8 +190,11 @@ pub fn find<'a>(
     let parent = means(roughness, problem.segment);
     let said = scan(problem, judges, (albedo, roughness), lines, settings, progress)?;
     let capped = |joint: Joint| Joint { roughness: joint.roughness.min(settings.cap), ..joint };
-    let of_group =
-        said.iter().enumerate().map(|(g, said)| decide(said, parent[g / 2], &settings.joints.own).map(capped)).collect();
+    let of_group = said
+        .iter()
+        .enumerate()
+        .map(|(g, said)| decide(said, parent[g / 2], &settings.joints.own).map(capped))
+        .collect();
     Ok(Joints { lines, segment: problem.segment.0, of_group })
 }
 

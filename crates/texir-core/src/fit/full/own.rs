@@ -35,9 +35,8 @@ pub fn believed<N: Iterator<Item = usize>>(
     parent: f32,
     settings: &OwnSettings,
 ) -> f32 {
-    let judged = |by: &Said, other: &Said| {
-        asked(&other.other, nodes(), parent, settings).map_or(by.same, |k| by.other.cost[k])
-    };
+    let judged =
+        |by: &Said, other: &Said| asked(&other.other, nodes(), parent, settings).map_or(by.same, |k| by.other.cost[k]);
     let both = Tally::sum([&first.other, &second.other].into_iter());
     if both.pixels == 0.0 {
         return 0.0;
