@@ -72,53 +72,50 @@ pub fn write_lightmapped_glb(
     }
     let scene = Scene { nodes, name: Some("lightmapped".to_owned()), extensions: None, extras: None };
     builder.root.scene = Some(builder.root.push(scene));
-    let mut used = BTreeSet::new();
     let written = serde_json::to_value(&builder.root);
-    extensions(&written.map_err(|e| Error::file(path, format!("the scene cannot be written: {e}")))?, &mut used);
+    let used = extensions(written.map_err(|e| Error::file(path, format!("the scene cannot be written: {e}")))?);
     builder.root.extensions_required =
         from.extensions_required.into_iter().filter(|name| used.contains(name)).collect();
     builder.root.extensions_used = used.into_iter().collect();
     builder.write(path)
 }
 
-/// The extensions that a document holds, but for what applications keep for themselves.
-fn extensions(json: &Value, found: &mut BTreeSet<String>) {
-    match json {
-        Value::Object(fields) => {
-            for (name, value) in fields.iter().filter(|(name, _)| *name != "extras") {
-                if let (Value::Object(of_it), "extensions") = (value, name.as_str()) {
-                    found.extend(of_it.keys().cloned());
-                }
-                extensions(value, found);
-            }
+/// The extensions that a document holds.
+fn extensions(mut json: Value) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for_fields(&mut json, &mut |name, value| {
+        if let (Value::Object(of_it), "extensions") = (value, name) {
+            found.extend(of_it.keys().cloned());
         }
-        Value::Array(values) => values.iter().for_each(|value| extensions(value, found)),
-        _ => {}
-    }
+    });
+    found
 }
 
 /// The material, its textures looked up one set further on, except for those of TEXCOORD_0.
+///
+/// Every `texCoord` of a material is a set: that of a texture, of any extension, and of `KHR_texture_transform`, which
+/// replaces it.
 fn moved_up(material: Material) -> serde_json::Result<Material> {
     let mut json = serde_json::to_value(material)?;
-    move_up(&mut json);
+    for_fields(&mut json, &mut |name, value| {
+        if let (Some(set @ 1..), "texCoord") = (value.as_u64(), name) {
+            *value = set.saturating_add(1).into();
+        }
+    });
     serde_json::from_value(json)
 }
 
-/// Every `texCoord` of a material is a set: that of a texture, of any extension, and of `KHR_texture_transform`, which
-/// replaces it.
-fn move_up(json: &mut Value) {
+/// Goes through all fields of a document, with their names, but for what applications keep for themselves: that follows rules of its
+/// own.
+fn for_fields(json: &mut Value, of: &mut impl FnMut(&str, &mut Value)) {
     match json {
         Value::Object(fields) => {
-            for (name, value) in fields {
-                match value.as_u64() {
-                    Some(set @ 1..) if name == "texCoord" => *value = set.saturating_add(1).into(),
-                    // What an application keeps for itself follows rules of its own.
-                    _ if name == "extras" => {}
-                    _ => move_up(value),
-                }
+            for (name, value) in fields.iter_mut().filter(|(name, _)| *name != "extras") {
+                of(name, value);
+                for_fields(value, of);
             }
         }
-        Value::Array(values) => values.iter_mut().for_each(move_up),
+        Value::Array(values) => values.iter_mut().for_each(|value| for_fields(value, of)),
         _ => {}
     }
 }

@@ -232,17 +232,20 @@ impl Model {
 
     /// What to tell the user of triangles whose normals all point away from their front.
     pub(super) fn turned_away(&self) -> Option<String> {
-        let away = |triangle: &u32| {
-            let front = self.mesh.face_normal(*triangle);
-            self.mesh.corner_normals(*triangle).iter().all(|normal| normal.dot(front) < 0.0)
+        let away = |triangle: u32| {
+            let front = self.mesh.face_normal(triangle);
+            self.mesh.corner_normals(triangle).iter().all(|normal| normal.dot(front) < 0.0)
         };
-        let area = |of: &dyn Fn(&u32) -> bool| -> f64 {
-            let all = 0..self.mesh.triangles.len() as u32;
-            all.filter(|triangle| of(triangle)).map(|triangle| f64::from(self.mesh.area(triangle))).sum()
-        };
-        let count = (0..self.mesh.triangles.len() as u32).filter(away).count();
+        let (mut count, mut area, mut whole) = (0, 0.0, 0.0);
+        for triangle in 0..self.mesh.triangles.len() as u32 {
+            let of_triangle = f64::from(self.mesh.area(triangle));
+            whole += of_triangle;
+            if away(triangle) {
+                (count, area) = (count + 1, area + of_triangle);
+            }
+        }
         // Slivers between smooth neighbours may have them.
-        (area(&away) > FEW * area(&|_| true)).then(|| {
+        (area > FEW * whole).then(|| {
             format!(
                 "{count} triangles have normals that point away from where their corners run counter-clockwise: they take light on the \
                  side of their normals, and shine from the other; turn either around"

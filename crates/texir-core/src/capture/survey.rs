@@ -10,6 +10,7 @@ use crate::backend::Backend;
 use crate::error::{Result, listed};
 use crate::progress::Progress;
 use crate::raster::{Rgb, luminance, mean_pixel};
+use crate::stats::median;
 
 /// Columns of a view as it is looked at, at most.
 const COLUMNS: usize = 256;
@@ -27,10 +28,10 @@ const OPEN: [f64; 2] = [0.05, 0.1];
 /// An image clips where so many of its pixels share its largest value in two channels.
 const CLIPPED: f64 = 1e-3;
 /// A view is exposed otherwise where it is brighter or darker than the others by this, in ln.
-const EXPOSED: f64 = 0.25;
+const EXPOSED: f32 = 0.25;
 /// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off in the median.
-const OFF: f64 = 0.3;
-const TIMES: f64 = 2.5;
+const OFF: f32 = 0.3;
+const TIMES: f32 = 2.5;
 
 /// What a training view shows.
 #[derive(Clone, Debug)]
@@ -64,9 +65,9 @@ pub struct Share {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agreement {
     /// ln of its brightness over theirs, in the median.
-    pub exposure: f64,
+    pub exposure: f32,
     /// How far it is from that, in the median.
-    pub spread: f64,
+    pub spread: f32,
 }
 
 /// What all training views show.
@@ -200,8 +201,8 @@ impl Survey {
     fn contradicted(&self) -> Vec<String> {
         let known: Vec<(&Shown, Agreement)> =
             self.0.iter().filter_map(|shown| Some((shown, shown.agreement?))).collect();
-        let mut spreads: Vec<f64> = known.iter().map(|(_, agreement)| agreement.spread).collect();
-        let most = (TIMES * median(&mut spreads)).max(OFF);
+        let mut spreads: Vec<f32> = known.iter().map(|(_, agreement)| agreement.spread).collect();
+        let most = median(&mut spreads).map_or(OFF, |typical| OFF.max(TIMES * typical));
         let (off, others): (Vec<_>, Vec<_>) = known.into_iter().partition(|(_, agreement)| agreement.spread > most);
         let names = |views: &[(&Shown, Agreement)]| {
             listed(&views.iter().map(|(shown, _)| format!("{:?}", shown.name)).collect::<Vec<_>>())
@@ -234,7 +235,7 @@ type Cell = ([i32; 3], u8);
 
 impl Shown {
     /// Looks at an image; yields the mean ln of luminance per cell that it shows from the front.
-    fn look(&mut self, backend: &mut dyn Backend, view: &View, image: &Rgb) -> Result<HashMap<Cell, f64>> {
+    fn look(&mut self, backend: &mut dyn Backend, view: &View, image: &Rgb) -> Result<HashMap<Cell, f32>> {
         let camera = &view.camera;
         let (known, usable) = (image.finite(), view.usable(image)?);
         let hits = backend.primary(camera, camera.rows())?;
@@ -259,7 +260,7 @@ impl Shown {
                 (*sum, *count) = (*sum + bright.ln(), *count + 1.0);
             }
         }
-        Ok(cells.into_iter().map(|(cell, (sum, count))| (cell, sum / count)).collect())
+        Ok(cells.into_iter().map(|(cell, (sum, count))| (cell, (sum / count) as f32)).collect())
     }
 }
 
@@ -297,26 +298,18 @@ fn largest(image: &Rgb) -> (f32, f64) {
 }
 
 /// Compares the views by cells that several of them show.
-fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, u32, f64)>) {
+fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, u32, f32)>) {
     cells.sort_unstable_by_key(|(cell, view, _)| (*cell, *view));
     let mut differences = vec![Vec::new(); shown.len()];
     for of_cell in cells.chunk_by(|a, b| a.0 == b.0).filter(|of_cell| of_cell.len() >= JUDGES) {
         let typical = median(&mut of_cell.iter().map(|(.., mean)| *mean).collect::<Vec<_>>());
-        of_cell.iter().for_each(|(_, view, mean)| differences[*view as usize].push(mean - typical));
+        let of_view = |(_, view, mean): &(Cell, u32, f32)| Some((*view as usize, mean - typical?));
+        of_cell.iter().filter_map(of_view).for_each(|(view, difference)| differences[view].push(difference));
     }
-    for (shown, mut differences) in shown.iter_mut().zip(differences) {
-        if differences.len() >= ENOUGH {
-            let exposure = median(&mut differences);
-            let spread = median(&mut differences.iter().map(|d| (d - exposure).abs()).collect::<Vec<_>>());
-            shown.agreement = Some(Agreement { exposure, spread });
-        }
+    for (shown, mut differences) in shown.iter_mut().zip(differences).filter(|(_, d)| d.len() >= ENOUGH) {
+        shown.agreement = median(&mut differences).and_then(|exposure| {
+            differences.iter_mut().for_each(|d| *d = (*d - exposure).abs());
+            Some(Agreement { exposure, spread: median(&mut differences)? })
+        });
     }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -7,26 +7,27 @@ pub mod adjacency;
 pub mod diffused;
 pub mod emitters;
 pub mod full;
+mod lighting;
 #[cfg(test)]
 mod lit_square;
 pub mod memory;
 pub mod paper;
 pub mod settings;
+mod told;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use adjacency::Adjacency;
 use glam::Vec3;
+use lighting::{Lighting, lighting, scale};
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Baked};
 use crate::brdf::Masking;
-use crate::capture::survey::Survey;
-use crate::capture::{Capture, Coverage, Split, Tbl, View};
+use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
@@ -35,7 +36,6 @@ use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::Textures;
 use crate::rooms::{self, FloorPlan, RoomOptions};
-use crate::tbl::{self, TblOptions};
 pub use paper::stages::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
@@ -161,7 +161,7 @@ pub fn fit(
     }
     let mut emission = emitted((&tbl.radiance, &emitters), &materials);
     let Materials { albedo, roughness, metallic, mut irradiance, diffuse, masking, confidence } = materials;
-    if let Some(what) = too_bright(&albedo, &emitters, &tbl) {
+    if let Some(what) = told::too_bright(&albedo, &emitters, &tbl) {
         progress.warn(&format!("{}: {what}", capture.root.display()));
     }
     // Back in the capture's unit; powers of two are exact.
@@ -172,101 +172,6 @@ pub fn fit(
     timings.mark("materials");
 
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
-}
-
-/// Views are this bright on average, about, for light to be computed with in half floats and shared exponents.
-const USUAL: RangeInclusive<f64> = 1e-3..=1e3;
-
-/// What light is multiplied with while a fit goes on: 1, unless views of this mean radiance are in a unit of which numbers here hold too
-/// little; a power of two.
-fn unit(radiance: f64) -> f32 {
-    let is_usual = USUAL.contains(&radiance) || !(radiance > 0.0 && radiance.is_finite());
-    // The inverse is a number as well.
-    if is_usual { 1.0 } else { (-radiance.log2()).round().clamp(-120.0, 120.0).exp2() as f32 }
-}
-
-fn scale(map: &mut Rgb, factor: f32) {
-    if factor != 1.0 {
-        map.data.iter_mut().for_each(|pixel| *pixel = pixel.map(|v| v * factor));
-    }
-}
-
-/// What to tell the user where much of the surface that views see would have to reflect all light: there must be more of it.
-fn too_bright(albedo: &Rgb, emitters: &Mask, tbl: &Tbl) -> Option<String> {
-    /// Albedo from here on is more than paint has.
-    const WHITE: f32 = 0.97;
-    const SHARE: f64 = 0.1;
-    let seen =
-        tbl.coverage.data.iter().zip(&emitters.data).map(|(coverage, emits)| *coverage == Coverage::Seen && !emits);
-    let [mut all, mut white] = [0u64; 2];
-    for (albedo, _) in albedo.data.iter().zip(seen).filter(|(_, seen)| *seen) {
-        all += 1;
-        white += u64::from(albedo.iter().any(|a| *a >= WHITE));
-    }
-    let share = white as f64 / all.max(1) as f64;
-    (share > SHARE).then(|| {
-        format!(
-            "{:.0} % of the surface that views see would have to reflect nearly all light: light is missing. Are lamps clipped in the images, \
-             turned around or missing in the mesh, or are there holes that light comes through? (`texir inspect`)",
-            100.0 * share
-        )
-    })
-}
-
-/// What a fit sets out with.
-struct Lighting {
-    tbl: Tbl,
-    atlas: Atlas,
-    /// The training views,
-    training: Vec<View>,
-    /// and as the fit of materials reads them.
-    views: Vec<View>,
-    /// What all of its light was multiplied with: see [`unit`].
-    unit: f32,
-}
-
-/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
-fn lighting(
-    backend: &mut dyn Backend,
-    (given, mut training): (Option<&Path>, Vec<View>),
-    settings: &FitSettings,
-    progress: &dyn Progress,
-) -> Result<Lighting> {
-    let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
-    let size = match (settings.atlas_size, &given) {
-        (0, Some(tbl)) => tbl.radiance.size(),
-        (0, None) => {
-            let side = memory::default_side(&training, &backend.scene().mesh, settings);
-            (side, side)
-        }
-        (size, _) => (size, size),
-    };
-    if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
-        progress.warn(&format!(
-            "the HDR texture has {:?} texels, and fit.atlas_size asks for {size:?}: it is not used, but made anew of the views",
-            tbl.radiance.size()
-        ));
-    }
-    let given = given.filter(|tbl| tbl.radiance.size() == size);
-    let is_given = given.is_some();
-    let atlas = Atlas::new(backend, size.0, size.1)?;
-    // Before the first long step: what does not fit in memory is refused.
-    let mut views = memory::affordable(&training, (&backend.scene().mesh, &atlas), settings, progress)?;
-    let survey = Survey::new(backend, &training, progress)?;
-    survey.warnings().iter().for_each(|what| progress.warn(what));
-    let unit = unit(survey.radiance());
-    training.iter_mut().chain(&mut views).for_each(|view| view.scale = view.scale.map(|factor| factor * unit));
-    let mut tbl = match given {
-        Some(mut tbl) => {
-            scale(&mut tbl.radiance, unit);
-            tbl
-        }
-        None => tbl::build_in(backend, &atlas, &training, &TblOptions::default(), progress)?,
-    };
-    if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
-        tbl = tbl::resolve_sources(backend, &atlas, &tbl, &training, progress)?;
-    }
-    Ok(Lighting { tbl, atlas, training, views, unit })
 }
 
 /// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by their
@@ -336,70 +241,7 @@ impl Timings {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
-
-    use bytesize::ByteSize;
-
     use super::*;
-    use crate::fit::lit_square::{LitSquare, SIDE};
-
-    #[test]
-    fn light_of_unusual_brightness_is_brought_to_about_one_and_back() {
-        assert_eq!([1e-3, 0.3, 1.0, 1e3, 0.0, f64::NAN, f64::INFINITY].map(unit), [1.0; 7]);
-        for radiance in [1e-300, 1e-30, 1e-4, 2e3, 1e30, 1e300] {
-            let unit = unit(radiance);
-            assert!(unit.is_normal() && unit.recip().is_normal() && unit * unit.recip() == 1.0, "{radiance}: {unit}");
-        }
-        for radiance in [1e-30, 1e-4, 2e3, 1e30] {
-            assert!((0.7..1.5).contains(&(radiance * f64::from(unit(radiance)))), "{radiance}");
-        }
-    }
-
-    #[test]
-    fn surfaces_that_would_reflect_all_light_are_told_where_they_are_many() {
-        let told = |white: usize, coverage: Coverage| {
-            let albedo = Rgb::new(10, 10, (0..100).map(|i| [0.5, if i < white { 0.98 } else { 0.5 }, 0.5]).collect());
-            let tbl = Tbl { radiance: Rgb::filled(10, 10, [1.0; 3]), coverage: Raster::filled(10, 10, coverage) };
-            too_bright(&albedo.unwrap(), &Mask::filled(10, 10, false), &tbl)
-        };
-        assert!(told(20, Coverage::Seen).unwrap().starts_with("20 % of the surface"));
-        // Negative controls: a few, and what no view sees.
-        assert_eq!(told(5, Coverage::Seen), None);
-        assert_eq!(told(20, Coverage::Inpainted), None);
-    }
-
-    /// Takes down what is begun.
-    #[derive(Default)]
-    struct Begun(Mutex<Vec<String>>);
-
-    impl Progress for Begun {
-        fn start(&self, task: &str, _: u64, _: &str) {
-            self.0.lock().unwrap().push(task.to_owned());
-        }
-        fn advance(&self, _: u64) {}
-        fn finish(&self) {}
-        fn warn(&self, _: &str) {}
-        fn cancelled(&self) -> bool {
-            false
-        }
-    }
-
-    #[test]
-    fn too_little_memory_is_refused_before_anything_is_begun() {
-        let square = LitSquare::new();
-        let views = square.views(&Rgb::filled(SIDE, SIDE, [1.0; 3]), (16, 8));
-        let begun = |max_memory| {
-            let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
-            let progress = Begun::default();
-            let lit = lighting(&mut square.backend(), (None, views.clone()), &settings, &progress);
-            (lit.map(|lit| lit.views.len()).map_err(|e| e.to_string()), progress.0.into_inner().unwrap())
-        };
-        let (refused, tasks) = begun(ByteSize(1));
-        assert!(refused.unwrap_err().contains("max_memory is 1 B") && tasks.is_empty(), "{tasks:?}");
-        // Negative control.
-        let (lit, tasks) = begun(ByteSize::gib(1));
-        assert!(lit == Ok(5) && tasks.contains(&"texture-based lighting".to_owned()), "{tasks:?}");
-    }
 
     #[test]
     fn what_a_lamp_reflects_is_not_emitted() {

@@ -42,7 +42,7 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::adjacency::NONE;
-use super::{Ground, Materials, diffused, outside};
+use super::{Ground, Materials, diffused, outside, told};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
@@ -51,7 +51,6 @@ use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
 use crate::fit::settings::{FullSettings, RoughnessSettings};
 use crate::lights::Lights;
-use crate::mesh::Mesh;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
 use albedo::AlbedoProblem;
@@ -96,7 +95,7 @@ pub fn fit(
         let observer = Observer { atlas, emitters, settings, seed, checkpoints };
         let seen = observer.observe(backend, training, progress)?;
         if round == 0 {
-            told_of_little(atlas, &backend.scene().mesh, &seen.is_seen)
+            told::little_seen(atlas, &backend.scene().mesh, &seen.is_seen)
                 .into_iter()
                 .for_each(|what| progress.warn(&what));
         }
@@ -115,25 +114,6 @@ pub fn fit(
         let baked = bake(backend, atlas, ground.gather, checkpoints, &again)?;
         irradiance = of_texels(&outside(baked, atlas), atlas);
     }
-}
-
-/// What to tell the user where views see little of the surface, area by area.
-fn told_of_little(atlas: &Atlas, mesh: &Mesh, is_seen: &[bool]) -> Option<String> {
-    /// Views that show every corner of a furnished flat see two thirds: the rest is under things and inside of them.
-    const LITTLE: f64 = 0.5;
-    let (mut seen, mut all) = (0.0, 0.0);
-    for (point, is_seen) in atlas.points.iter().zip(is_seen) {
-        let area = f64::from(atlas.texel_area(mesh, point.triangle));
-        all += area;
-        seen += if *is_seen { area } else { 0.0 };
-    }
-    (seen < LITTLE * all).then(|| {
-        format!(
-            "training views see {:.0} % of the surface; the rest takes materials of what is like it (confidence.exr tells how well they are \
-             known): more views from other places show more",
-            100.0 * seen / all
-        )
-    })
 }
 
 /// What a map holds at every valid texel.

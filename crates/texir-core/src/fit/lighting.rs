@@ -1,0 +1,144 @@
+//! What a fit sets out with: the light of the scene, in a unit that numbers here hold well, and the views.
+
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use super::memory;
+use super::settings::{FitSettings, Mode};
+use crate::atlas::Atlas;
+use crate::backend::Backend;
+use crate::capture::survey::Survey;
+use crate::capture::{Tbl, View};
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::raster::Rgb;
+use crate::tbl::{self, TblOptions};
+
+/// What a fit sets out with.
+pub(super) struct Lighting {
+    pub tbl: Tbl,
+    pub atlas: Atlas,
+    /// The training views,
+    pub training: Vec<View>,
+    /// and as the fit of materials reads them.
+    pub views: Vec<View>,
+    /// What all of its light was multiplied with: see [`unit`].
+    pub unit: f32,
+}
+
+/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
+pub(super) fn lighting(
+    backend: &mut dyn Backend,
+    (given, mut training): (Option<&Path>, Vec<View>),
+    settings: &FitSettings,
+    progress: &dyn Progress,
+) -> Result<Lighting> {
+    let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
+    let size = match (settings.atlas_size, &given) {
+        (0, Some(tbl)) => tbl.radiance.size(),
+        (0, None) => {
+            let side = memory::default_side(&training, &backend.scene().mesh, settings);
+            (side, side)
+        }
+        (size, _) => (size, size),
+    };
+    if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
+        progress.warn(&format!(
+            "the HDR texture has {:?} texels, and fit.atlas_size asks for {size:?}: it is not used, but made anew of the views",
+            tbl.radiance.size()
+        ));
+    }
+    let given = given.filter(|tbl| tbl.radiance.size() == size);
+    let is_given = given.is_some();
+    let atlas = Atlas::new(backend, size.0, size.1)?;
+    // Before the first long step: what does not fit in memory is refused.
+    let mut views = memory::affordable(&training, (&backend.scene().mesh, &atlas), settings, progress)?;
+    let survey = Survey::new(backend, &training, progress)?;
+    survey.warnings().iter().for_each(|what| progress.warn(what));
+    let unit = unit(survey.radiance());
+    training.iter_mut().chain(&mut views).for_each(|view| view.scale = view.scale.map(|factor| factor * unit));
+    let mut tbl = match given {
+        Some(mut tbl) => {
+            scale(&mut tbl.radiance, unit);
+            tbl
+        }
+        None => tbl::build_in(backend, &atlas, &training, &TblOptions::default(), progress)?,
+    };
+    if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
+        tbl = tbl::resolve_sources(backend, &atlas, &tbl, &training, progress)?;
+    }
+    Ok(Lighting { tbl, atlas, training, views, unit })
+}
+
+/// Views are this bright on average, about, for light to be computed with in half floats and shared exponents.
+const USUAL: RangeInclusive<f64> = 1e-3..=1e3;
+
+/// What light is multiplied with while a fit goes on: 1, unless views of this mean radiance are in a unit of which numbers here hold too
+/// little; a power of two.
+fn unit(radiance: f64) -> f32 {
+    let is_usual = USUAL.contains(&radiance) || !(radiance > 0.0 && radiance.is_finite());
+    // The inverse is a number as well.
+    if is_usual { 1.0 } else { (-radiance.log2()).round().clamp(-120.0, 120.0).exp2() as f32 }
+}
+
+/// Light in another unit.
+pub(super) fn scale(map: &mut Rgb, factor: f32) {
+    if factor != 1.0 {
+        map.data.iter_mut().for_each(|pixel| *pixel = pixel.map(|v| v * factor));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use bytesize::ByteSize;
+
+    use super::*;
+    use crate::fit::lit_square::{LitSquare, SIDE};
+
+    #[test]
+    fn light_of_unusual_brightness_is_brought_to_about_one_and_back() {
+        assert_eq!([1e-3, 0.3, 1.0, 1e3, 0.0, f64::NAN, f64::INFINITY].map(unit), [1.0; 7]);
+        for radiance in [1e-300, 1e-30, 1e-4, 2e3, 1e30, 1e300] {
+            let unit = unit(radiance);
+            assert!(unit.is_normal() && unit.recip().is_normal() && unit * unit.recip() == 1.0, "{radiance}: {unit}");
+        }
+        for radiance in [1e-30, 1e-4, 2e3, 1e30] {
+            assert!((0.7..1.5).contains(&(radiance * f64::from(unit(radiance)))), "{radiance}");
+        }
+    }
+
+    /// Takes down what is begun.
+    #[derive(Default)]
+    struct Begun(Mutex<Vec<String>>);
+
+    impl Progress for Begun {
+        fn start(&self, task: &str, _: u64, _: &str) {
+            self.0.lock().unwrap().push(task.to_owned());
+        }
+        fn advance(&self, _: u64) {}
+        fn finish(&self) {}
+        fn warn(&self, _: &str) {}
+        fn cancelled(&self) -> bool {
+            false
+        }
+    }
+
+    #[test]
+    fn too_little_memory_is_refused_before_anything_is_begun() {
+        let square = LitSquare::new();
+        let views = square.views(&Rgb::filled(SIDE, SIDE, [1.0; 3]), (16, 8));
+        let begun = |max_memory| {
+            let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
+            let progress = Begun::default();
+            let lit = lighting(&mut square.backend(), (None, views.clone()), &settings, &progress);
+            (lit.map(|lit| lit.views.len()).map_err(|e| e.to_string()), progress.0.into_inner().unwrap())
+        };
+        let (refused, tasks) = begun(ByteSize(1));
+        assert!(refused.unwrap_err().contains("max_memory is 1 B") && tasks.is_empty(), "{tasks:?}");
+        // Negative control.
+        let (lit, tasks) = begun(ByteSize::gib(1));
+        assert!(lit == Ok(5) && tasks.contains(&"texture-based lighting".to_owned()), "{tasks:?}");
+    }
+}
