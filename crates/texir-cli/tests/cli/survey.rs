@@ -1,9 +1,12 @@
 //! What a capture's views show is looked at before anything is fitted: what ruins a result without stopping it is told.
 
-use texir_core::image_io::{read_gray, read_rgb, write_rgb};
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use texir_core::image_io::{read_gray, read_labels, read_rgb, write_png_labels, write_rgb};
 
 use crate::room::{Capture, WIDTH};
-use crate::texir::{fit, succeed};
+use crate::texir::{Said, fit, succeed};
 
 /// What `texir inspect` warns of.
 fn told(capture: &Capture) -> Vec<String> {
@@ -11,6 +14,16 @@ fn told(capture: &Capture) -> Vec<String> {
     let warnings = said.out.lines().filter_map(|line| line.strip_prefix("warning: "));
     // The room is coarse, and has no list of classes.
     warnings.map(str::to_owned).collect()
+}
+
+/// A fit in full mode, with where its output is.
+fn fit_fully(capture: &Capture) -> (PathBuf, Said) {
+    let out = capture.out("out");
+    let mut arguments: Vec<OsString> = vec!["fit".into(), capture.path().into(), "-o".into(), out.clone().into()];
+    let more = ["--backend", "cpu", "--no-eval", "--quiet", "--set", "fit.atlas_size=64"];
+    arguments.extend(more.map(OsString::from));
+    let said = succeed(&arguments);
+    (out, said)
 }
 
 /// Changes the pixels of an image, by their index.
@@ -86,6 +99,54 @@ fn images_that_are_clipped() {
 }
 
 #[test]
+fn views_that_are_too_few_to_tell_highlights_from_paint() {
+    let capture = Capture::new();
+    capture.edit(|transforms| {
+        let frames = transforms["frames"].as_array_mut().unwrap();
+        frames.retain(|frame| !frame["file_path"].as_str().unwrap().ends_with("c.exr"));
+    });
+    is_told(&capture, &["2 training views", "expected several views of every room"]);
+}
+
+#[test]
+fn cameras_that_are_not_at_the_height_of_hands_or_heads() {
+    let capture = Capture::new();
+    // The same room in feet.
+    const FOOT: f64 = 0.3048;
+    capture.edit_mesh(|line| match line.strip_prefix("v ") {
+        Some(place) => {
+            let feet = place.split(' ').map(|metres| (metres.parse::<f64>().unwrap() / FOOT).to_string());
+            format!("v {}", feet.collect::<Vec<_>>().join(" "))
+        }
+        None => line.to_owned(),
+    });
+    capture.edit(|transforms| {
+        for frame in transforms["frames"].as_array_mut().unwrap() {
+            for row in frame["transform_matrix"].as_array_mut().unwrap().iter_mut().take(3) {
+                row[3] = (row[3].as_f64().unwrap() / FOOT).into();
+            }
+        }
+    });
+    is_told(&capture, &["above what is below them", "--metres-per-unit"]);
+}
+
+#[test]
+fn semantic_images_that_contradict_each_other() {
+    let capture = Capture::new();
+    // Every view has classes of its own, as segmentations of instances have.
+    for (view, image) in ["a", "b", "c"].into_iter().enumerate() {
+        let path = capture.file(&format!("semantic/{image}.png"));
+        let mut labels = read_labels(&path).unwrap();
+        labels.data.iter_mut().filter(|id| **id > 0).for_each(|id| *id += 10 * view as u16);
+        write_png_labels(&path, &labels).unwrap();
+    }
+    fit_fully(&capture).1.complains(&["semantic_path", "% agrees", "the same in every view?"]);
+    // Negative control.
+    let (_, sound) = fit_fully(&Capture::new());
+    assert!(!sound.err.contains("% agrees"), "{}", sound.err);
+}
+
+#[test]
 fn images_that_are_black_are_left_out() {
     let capture = Capture::new();
     paint(&capture, "a", |_, _| [0.0; 3]);
@@ -102,10 +163,7 @@ fn light_may_be_in_any_unit() {
     let fitted = |factor: f32| {
         let capture = Capture::new();
         ["a", "b", "c"].iter().for_each(|view| paint(&capture, view, |_, pixel| pixel.map(|v| factor * v)));
-        let out = capture.out("out");
-        let of_fit = ["fit".into(), capture.path().into_os_string(), "-o".into(), out.clone().into_os_string()];
-        let more = ["--backend", "cpu", "--no-eval", "--quiet", "--set", "fit.atlas_size=64"].map(Into::into);
-        succeed(&of_fit.into_iter().chain(more).collect::<Vec<std::ffi::OsString>>());
+        let (out, _) = fit_fully(&capture);
         let albedo = read_rgb(out.join("albedo.exr")).unwrap();
         let roughness = read_gray(out.join("roughness.exr")).unwrap();
         let light = ["emission.exr", "irradiance.exr", "hdr_texture.exr"]

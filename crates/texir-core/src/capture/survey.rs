@@ -313,3 +313,70 @@ fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, u32, f32)>) {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use glam::{Mat4, Vec2};
+
+    use super::*;
+    use crate::camera::{Camera, Projection};
+    use crate::capture::Split;
+    use crate::cpu::CpuBackend;
+    use crate::image_io::{write_png_mask, write_rgb};
+    use crate::mesh::Mesh;
+    use crate::progress::Silent;
+    use crate::raster::Mask;
+    use crate::scene::Scene;
+
+    /// What a view shows of the square [−1, 1]² at z = 0, which faces up; its image is `1` but for one pixel, and masked where asked.
+    fn shown(camera: Camera, bright: [usize; 2], masked: bool) -> Shown {
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let mesh = Mesh {
+            positions: corners.map(|(x, y)| Vec3::new(x, y, 0.0)).to_vec(),
+            normals: vec![Vec3::Z; 4],
+            uvs: corners.map(|(x, y)| Vec2::new(0.5 * x + 0.5, 0.5 * y + 0.5)).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let [photo, mask] = ["photo.exr", "mask.png"].map(|name| folder.path().join(name));
+        let (width, height) = (camera.width, camera.height);
+        let mut image = Rgb::filled(width, height, [1.0; 3]);
+        image.data[bright[1] * width + bright[0]] = [1e6; 3];
+        write_rgb(&photo, &image).unwrap();
+        write_png_mask(&mask, &Mask::filled(width, height, false)).unwrap();
+        let view = View { mask: masked.then_some(mask), ..View::new("view".to_owned(), camera, Split::Train, photo) };
+        let survey = Survey::new(&mut CpuBackend::new(Scene::new(mesh).unwrap()), &[view], &Silent).unwrap();
+        survey.views()[0].clone()
+    }
+
+    #[test]
+    fn a_wide_panorama_is_told_of_in_its_own_pixels() {
+        let world_from_camera = Mat4::from_translation(Vec3::Z);
+        let camera = Camera { projection: Projection::Equirectangular, width: 600, height: 300, world_from_camera };
+        for masked in [false, true] {
+            // 600 columns are looked at as 200, the third row and column of each three.
+            let Shown { all, open, behind, .. } = shown(camera.clone(), [451, 44], masked);
+            assert!((all.directions / (4.0 * PI) - 1.0).abs() < 1e-3, "{}", all.directions);
+            // A square of 2 × 2 m, 1 m away, is a sixth of all directions.
+            assert!((open.directions / all.directions - 5.0 / 6.0).abs() < 0.01, "{}", open.directions);
+            assert_eq!((open.brightest.1, behind.directions), ([450, 42], 0.0));
+            assert!(open.light > 0.9 * all.light);
+        }
+    }
+
+    #[test]
+    fn a_portrait_is_told_of_in_its_own_pixels() {
+        // From below, turned around to look up: all that it sees is the square's back.
+        let world_from_camera = Mat4::from_translation(-Vec3::Z) * Mat4::from_rotation_x(std::f32::consts::PI);
+        let projection = Projection::Pinhole { fx: 600.0, fy: 600.0, cx: 150.0, cy: 270.0 };
+        let camera = Camera { projection, width: 300, height: 540, world_from_camera };
+        let Shown { all, open, behind, .. } = shown(camera.clone(), [100, 401], false);
+        assert_eq!((behind.directions, open.directions), (all.directions, 0.0));
+        assert_eq!(behind.brightest.1, [100, 400]);
+        // Negative control: from above, the same camera sees its front.
+        let above = Camera { world_from_camera: Mat4::from_translation(Vec3::Z), ..camera };
+        assert_eq!(shown(above, [100, 401], false).behind.directions, 0.0);
+    }
+}

@@ -157,16 +157,10 @@ fn recover(
     };
     let blocks = surface.blocks(&evidence);
     let without_joints = heaviest(seen, &lines.without(&seen.rows, &evidence.segment));
-    let plain = Surface { heaviest: &without_joints, ..surface };
+    let plain = Surface { heaviest: &without_joints, ..surface }.blocks(&evidence);
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let of_colours = by_colour(&plain, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
-    let mut roughness = local::refine(
-        &surface,
-        (&blocks, &plain.blocks(&evidence)),
-        &by_segment,
-        &of_colours,
-        &settings.roughness.local,
-    );
+    let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
+    let mut roughness = local::refine(&surface, (&blocks, &plain), &by_segment, &of_colours, &settings.roughness.local);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
     // Nothing from here on asks what pixels cost, a tenth of a large fit's memory.
     drop(evidence.cost);
