@@ -9,7 +9,7 @@ use serde_json::json;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Model, Reflected, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
-use texir_core::bake::{Baked, Denoiser, Quality, Texels};
+use texir_core::bake::{Baked, Denoiser, PADDING, Quality, Texels};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::cosine_direction;
@@ -17,6 +17,7 @@ use texir_core::cpu::trace::{Exhaustive, Trace};
 use texir_core::environment::Environment;
 use texir_core::mesh_io::atlas_report;
 use texir_core::progress::Silent;
+use texir_core::punctual::PunctualLight;
 use texir_core::raster::Rgb;
 use texir_core::real::V3;
 use texir_core::rng::hash2;
@@ -40,7 +41,7 @@ struct Lit {
 fn solve(backend: &mut dyn Backend, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Lit {
     let (texels, none) = (Texels::of(atlas), Checkpoints::none());
     let solved = irradiance(backend, &texels, surfaces, bounces, &none, &Silent).unwrap();
-    Lit { baked: solved.solution.into_baked().unwrap(), series: solved.series, remainder: solved.remainder }
+    Lit { baked: solved.solution.into_baked().unwrap(), series: solved.series, remainder: solved.remainder.of_all }
 }
 
 #[test]
@@ -89,6 +90,34 @@ fn a_closed_box_is_a_furnace_bounce_by_bounce() {
         let sum: f64 = solved.series.iter().sum();
         assert!(solved.remainder <= 1e-3 && (sum / closed - 1.0).abs() < 1.5e-3, "{sum} of {closed}");
     }
+}
+
+#[test]
+fn a_dim_room_beside_a_sunlit_yard_has_all_of_its_light() {
+    let mut builder = scenes::Builder::default();
+    builder.cuboid(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), true);
+    builder.quad([Vec3::ZERO, Vec3::Z, Vec3::Z + Vec3::X, Vec3::X].map(|p| 20.0 * p + 50.0 * Vec3::X), [Vec3::Y; 4]);
+    let mut backend = CpuBackend::new(Scene::new(builder.finish()).unwrap());
+    let atlas = Atlas::new(&mut backend, 96, 96).unwrap();
+    let (albedo, emission) = (0.8, 1.0);
+    let in_yard = |point: &SurfacePoint| point.position[0] > 40.0;
+    let glows: Vec<[f32; 3]> =
+        atlas.points.iter().map(|point| [if in_yard(point) { 0.0 } else { emission }; 3]).collect();
+    let surfaces = Surfaces {
+        albedo: Rgb::filled(96, 96, [albedo; 3]),
+        emission: atlas.scatter_padded(&glows, &vec![true; glows.len()], [0.0; 3], PADDING),
+        lights: vec![PunctualLight::distant([0.0, -1.0, 0.0], [1e5; 3])],
+        environment: None,
+    };
+    let tolerance = 5e-3;
+    let solved = solve(&mut backend, &atlas, &surfaces, &Bounces { tolerance, ..BOUNCES });
+    let room = solved.baked.irradiance.iter().zip(&atlas.points).filter(|(_, point)| !in_yard(point));
+    let (sum, count) = room.fold((0.0, 0.0), |(sum, count), (e, _)| (sum + f64::from(e[0]), count + 1.0));
+    let expected = PI * f64::from(emission / (1.0 - albedo));
+    assert!((sum / count / expected - 1.0).abs() < 0.025, "{} for {expected}", sum / count);
+    // Negative control: by the mean over the map, the first bounce would have been the last.
+    let [direct, first, ..] = solved.series[..] else { panic!("{:?}", solved.series) };
+    assert!(first / direct < f64::from(tolerance) && solved.series.len() > 5, "{:?}", solved.series);
 }
 
 #[test]

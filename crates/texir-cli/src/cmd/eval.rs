@@ -8,7 +8,7 @@ use texir_core::capture::{self, Capture, Corrections, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::read_mesh;
-use texir_core::outputs::{CORRECTIONS, FitOutput, METRICS, RUN, Run};
+use texir_core::outputs::{CORRECTIONS, FitOutput, MESH, METRICS, RUN, Run};
 use texir_core::progress::Progress;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -99,7 +99,9 @@ pub fn load_capture(out: &Path, given: Option<&Path>, session: &Session<'_>) -> 
         Some(folder) => folder.to_owned(),
         None => read_run(out).map_err(|failure| failure.help("name the capture with --capture"))?.capture,
     };
-    let mut capture = capture::load(&folder, &LoadOptions::default(), session.console)
+    // The mesh that was fitted: the folder may have another, or none.
+    let options = LoadOptions { mesh: Some(out.join(MESH)), ..LoadOptions::default() };
+    let mut capture = capture::load(&folder, &options, session.console)
         .context(format!("the capture {} could not be read", folder.display()))?;
     let path = out.join(CORRECTIONS);
     Corrections::read(&path)?

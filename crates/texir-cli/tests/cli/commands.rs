@@ -168,6 +168,17 @@ fn edited_textures_are_exported() {
 }
 
 #[test]
+fn a_fit_of_a_mesh_that_its_capture_lacks_is_evaluated_later() {
+    let capture = Capture::new();
+    let (out, mesh) = (capture.out("out"), capture.out("elsewhere.obj"));
+    std::fs::rename(capture.file("mesh.obj"), &mesh).unwrap();
+    let with_mesh = ["--mesh", mesh.to_str().unwrap(), "--backend", "cpu", "--no-eval", "--quiet"];
+    succeed(&fit(&capture.path(), &out, &with_mesh));
+    succeed(&["eval".as_ref(), out.as_os_str(), "--backend".as_ref(), "cpu".as_ref(), "--quiet".as_ref()]);
+    assert!(out.join("metrics.json").is_file());
+}
+
+#[test]
 fn textures_are_evaluated_through_another_mesh_of_their_atlas() {
     let capture = Capture::new();
     let out = capture.out("out");

@@ -49,7 +49,7 @@ pub fn write_lightmapped_glb(
     let root = &mut builder.root;
     (root.textures, root.samplers) = (from.textures, from.samplers);
     let moved = model.lightmap_set != Some(LIGHTMAP_SET);
-    let materials = from.materials.into_iter().map(|material| if moved { moved_up(material) } else { Ok(material) });
+    let materials = from.materials.into_iter().map(|material| with_sets(material, moved));
     root.materials = materials
         .collect::<serde_json::Result<_>>()
         .map_err(|e| Error::file(source, format!("a material cannot be written again: {e}")))?;
@@ -91,14 +91,18 @@ fn extensions(mut json: Value) -> BTreeSet<String> {
     found
 }
 
-/// The material, its textures looked up one set further on, except for those of TEXCOORD_0.
+/// The material, its textures looked up one set further on where sets have `moved` up, except for those of TEXCOORD_0.
 ///
 /// Every `texCoord` of a material is a set: that of a texture, of any extension, and of `KHR_texture_transform`, which
-/// replaces it.
-fn moved_up(material: Material) -> serde_json::Result<Material> {
+/// replaces it. One that replaces none is written as null by its serializer, which is no number of a set: it gets its texture's.
+fn with_sets(material: Material, moved: bool) -> serde_json::Result<Material> {
     let mut json = serde_json::to_value(material)?;
     for_fields(&mut json, &mut |name, value| {
-        if let (Some(set @ 1..), "texCoord") = (value.as_u64(), name) {
+        let own = value.get("texCoord").and_then(Value::as_u64).unwrap_or(0);
+        if let Some(set @ Value::Null) = value.pointer_mut("/extensions/KHR_texture_transform/texCoord") {
+            *set = own.into();
+        }
+        if let (Some(set @ 1..), "texCoord", true) = (value.as_u64(), name, moved) {
             *value = set.saturating_add(1).into();
         }
     });

@@ -17,6 +17,7 @@ mod export;
 mod gltf;
 #[cfg(feature = "files")]
 mod layout;
+mod series;
 mod solve;
 #[cfg(all(test, feature = "files"))]
 mod tests;
@@ -31,6 +32,7 @@ mod unlit;
 pub use self::export::write_lightmapped_glb;
 #[cfg(feature = "files")]
 pub use self::gltf::{Model, Reflected, read_gltf};
+pub use self::series::Remainder;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
 pub use self::unlit::unlit;

@@ -5,6 +5,7 @@ use std::f32::consts::PI;
 use std::ops::Range;
 
 use super::Surfaces;
+use super::series::{Remainder, Series};
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
@@ -28,7 +29,8 @@ pub(super) const DARK: f32 = 0.01;
 pub struct Bounces {
     /// That of the first gather; later ones take fewer rays, as they bring less light.
     pub quality: Quality,
-    /// Bounces end when what the further ones would add is below this share of all light.
+    /// Bounces end when what the further ones would add is below this share of all light, and nowhere above four times that share of
+    /// what light there is.
     pub tolerance: f32,
     /// Bounces end here even so; 0 leaves direct light alone.
     pub most: u32,
@@ -41,8 +43,8 @@ pub struct Solved {
     pub solution: Solution,
     /// Mean of E_k over texels and channels, k = 0 the direct light.
     pub series: Vec<f64>,
-    /// Estimated share of all light that the bounces left out would add.
-    pub remainder: f64,
+    /// What the bounces left out would add.
+    pub remainder: Remainder,
 }
 
 /// Solves the light of a scene at `texels`, of a map whose size the maps of `surfaces` have.
@@ -67,27 +69,25 @@ pub fn irradiance(
     let mut last = direct?;
 
     let mut total = last.copy(texels)?;
-    let mut series = vec![last.mean(texels)?];
-    if !series[0].is_finite() {
+    let mut series = Series::default();
+    series.push(texels, &last, &total)?;
+    if !series.means[0].is_finite() {
         return Err(Error::invalid("the scene's light is too strong for numbers; expected radiance below some 1e30"));
     }
-    let mut remainder = remainder_of(&series);
     for k in 1..=bounces.most {
-        if remainder <= f64::from(bounces.tolerance) {
+        if series.remainder().is_within(bounces.tolerance) {
             break;
         }
-        let share = series.last().copied().unwrap_or(0.0) / series[0];
-        total.see_lit(texels, DARK * series.iter().sum::<f64>() as f32)?;
+        total.see_lit(texels, DARK * series.means.iter().sum::<f64>() as f32)?;
         let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
         drop(last);
         let lights = finder(solver.backend, texels, &sent)?.one_sided();
-        last = solver.gather((&sent, &lights), k, share)?;
+        last = solver.gather((&sent, &lights), k, series.share())?;
         total.add(texels, &last)?;
-        series.push(last.mean(texels)?);
-        remainder = remainder_of(&series);
+        series.push(texels, &last, &total)?;
     }
-    total.see_lit(texels, DARK * series.iter().sum::<f64>() as f32)?;
-    Ok(Solved { solution: total, series, remainder })
+    total.see_lit(texels, DARK * series.means.iter().sum::<f64>() as f32)?;
+    Ok(Solved { solution: total, remainder: series.remainder(), series: series.means })
 }
 
 struct Solver<'a> {
@@ -151,31 +151,4 @@ pub(super) fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Resul
         sent.data.extend(albedo.iter().zip(irradiance(rows)?).map(texel));
     }
     Ok(sent)
-}
-
-/// What a series lacks as a share of all that it comes to, if it goes on like its last two members: geometrically.
-fn remainder_of(series: &[f64]) -> f64 {
-    let sum: f64 = series.iter().sum();
-    match series {
-        [.., before, last] if last < before => {
-            let left_out = last * last / (before - last);
-            left_out / (sum + left_out)
-        }
-        [.., last] if *last == 0.0 => 0.0,
-        _ => f64::INFINITY,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::remainder_of;
-
-    #[test]
-    fn what_is_left_out_is_a_share_of_all_light() {
-        // Halves of halves come to 2.
-        assert_eq!(remainder_of(&[1.0, 0.5]), 0.25);
-        assert_eq!(remainder_of(&[1.0, 0.5, 0.25]), 0.125);
-        assert_eq!(remainder_of(&[1.0, 0.0]), 0.0);
-        assert!(remainder_of(&[1.0]).is_infinite() && remainder_of(&[1.0, 1.0]).is_infinite());
-    }
 }

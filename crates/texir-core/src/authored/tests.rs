@@ -179,7 +179,9 @@ fn textures_of_the_baked_scene_are_looked_up_where_they_were() {
         "images": [{ "uri": png() }], "textures": [{ "source": 0 }],
         "materials": [{
             "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "texCoord": 1 }, "roughnessFactor": 0.3 },
-            "normalTexture": { "index": 0, "texCoord": 2 },
+            "normalTexture": {
+                "index": 0, "texCoord": 2, "extensions": { "KHR_texture_transform": { "scale": [3, 3] } }
+            },
             "occlusionTexture": { "index": 0 },
             "emissiveTexture": {
                 "index": 0, "texCoord": 0, "extensions": { "KHR_texture_transform": { "texCoord": 2, "scale": [2, 2] } }
@@ -210,6 +212,7 @@ fn textures_of_the_baked_scene_are_looked_up_where_they_were() {
             (&material["occlusionTexture"], 0),
             (&material["emissiveTexture"], 0),
             (transform, 2),
+            (&material["normalTexture"]["extensions"]["KHR_texture_transform"], 2),
             (clearcoat, 1),
         ];
         for (reference, set) in looked_up {

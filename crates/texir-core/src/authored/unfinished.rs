@@ -1,6 +1,6 @@
 //! What to tell the user where bounces ended too early.
 
-use super::{Model, Solved};
+use super::{Model, Remainder, Solved};
 use crate::error::listed;
 
 /// A bounce that brings this share of the light of the one before is as bright as that: noise hides the rest.
@@ -15,7 +15,7 @@ impl Solved {
     pub fn unfinished(&self, model: &Model, tolerance: f32, asked: bool) -> Option<String> {
         let steady = is_steady(&self.series);
         // No tolerance at all asks for as many bounces as are allowed.
-        if self.remainder <= f64::from(tolerance) || (!steady && (asked || tolerance == 0.0)) {
+        if self.remainder.is_within(tolerance) || (!steady && (asked || tolerance == 0.0)) {
             return None;
         }
         let (bounces, white) = (self.series.len() - 1, model.reflecting(NEARLY_WHITE));
@@ -29,11 +29,18 @@ impl Solved {
                 )
             });
         }
-        let share = 100.0 * self.remainder;
-        let share = if share.is_finite() { format!("about {share:.2} %") } else { "an unknown share".to_owned() };
+        let Remainder { of_all, of_a_part } = self.remainder;
+        let share = match of_all.is_finite() {
+            true => format!(
+                "about {:.2} % of all light, and {:.1} % where they lack most",
+                100.0 * of_all,
+                100.0 * of_a_part
+            ),
+            false => "an unknown share of all light".to_owned(),
+        };
         let reason = if white.is_empty() { String::new() } else { format!("; {}", darken(&white)) };
         Some(format!(
-            "{bounces} bounces leave out {share} of all light, where --tolerance is {tolerance}: allow more with --bounces{reason}"
+            "{bounces} bounces leave out {share}, where --tolerance is {tolerance}: allow more with --bounces{reason}"
         ))
     }
 }

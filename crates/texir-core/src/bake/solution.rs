@@ -129,6 +129,30 @@ impl Solution {
         Ok(sum / (3 * texels.valid()).max(1) as f64)
     }
 
+    /// The share of the light of `total` that this is, its mean over the texels of every square of the map; `None` for those of few texels.
+    /// Texels inside other geometry are left out, and those of which `total` is at most `dark` have a share of 0.
+    pub(crate) fn shares(&self, texels: &Texels<'_>, total: &Self, dark: f32) -> Result<Vec<Option<f64>>> {
+        /// Edge of a square.
+        const SIDE: usize = 16;
+        /// Texels whose mean is worth something.
+        const ENOUGH: u32 = 64;
+        let [width, height] = texels.size();
+        let columns = width.div_ceil(SIDE);
+        let mut sums = vec![(0.0, 0); columns * height.div_ceil(SIDE)];
+        for items in texels.pieces() {
+            let (points, own) = (texels.points.get(&items)?, self.irradiance.get(&items)?);
+            let (all, seen) = (total.irradiance.get(&items)?, total.seen.get(&items)?);
+            for (i, point) in points.iter().enumerate().filter(|(i, _)| seen[*i] != 0) {
+                let (x, y) = (point.sequence as usize % width, point.sequence as usize / width);
+                let (sum, count) = &mut sums[y / SIDE * columns + x / SIDE];
+                let [own, all] = [luminance(&own[i]), luminance(&all[i])];
+                *sum += if all > dark { f64::from(own / all) } else { 0.0 };
+                *count += 1;
+            }
+        }
+        Ok(sums.into_iter().map(|(sum, count)| (count >= ENOUGH).then(|| sum / f64::from(count))).collect())
+    }
+
     /// Takes texels whose luminance is above `dark` for ones outside of other geometry. Where backs of faces send no light, what is lit
     /// is not inside, however many backs it meets: those of a roof of one sheet, or of an open box.
     pub(crate) fn see_lit(&mut self, texels: &Texels<'_>, dark: f32) -> Result<()> {

@@ -82,6 +82,8 @@ struct Summary {
     /// Estimated share of all light that further bounces would add; absent after direct light alone, and where the last bounce
     /// brought no less light than the one before.
     remainder: Option<f64>,
+    /// The same of the light of that part of the map which lacks most.
+    remainder_of_a_part: f64,
 }
 
 /// Bakes the scene that `bake.input` is; `read` are all files that it is made of.
@@ -136,13 +138,17 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         texels: valid,
         buried,
         rays,
-        remainder: solved.remainder.is_finite().then_some(solved.remainder),
+        remainder: Some(solved.remainder.of_all).filter(|share| share.is_finite()),
+        remainder_of_a_part: solved.remainder.of_a_part,
         series: solved.series,
     };
     session.print(&summary, || {
         let bounces = summary.series.len() - 1;
         let left = match summary.remainder {
-            Some(remainder) => format!(", {:.2} % left out", 100.0 * remainder),
+            Some(of_all) => {
+                let of_a_part = 100.0 * summary.remainder_of_a_part;
+                format!(", {:.2} % left out ({of_a_part:.1} % where most is)", 100.0 * of_all)
+            }
             None if bounces > 0 => ", not converged".to_owned(),
             None => String::new(),
         };
