@@ -66,7 +66,7 @@ impl Series {
                 let left_out = last * last / (before - last);
                 left_out / (sum + left_out)
             }
-            [.., last] if last == 0.0 => 0.0,
+            [.., 0.0] => 0.0,
             _ => f64::INFINITY,
         }
     }

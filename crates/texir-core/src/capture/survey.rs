@@ -357,7 +357,7 @@ mod tests {
         let camera = Camera { projection: Projection::Equirectangular, width: 600, height: 300, world_from_camera };
         for masked in [false, true] {
             // 600 columns are looked at as 200, the third row and column of each three.
-            let Shown { all, open, behind, .. } = shown(camera.clone(), [451, 44], masked);
+            let Shown { all, open, behind, .. } = shown(camera, [451, 44], masked);
             assert!((all.directions / (4.0 * PI) - 1.0).abs() < 1e-3, "{}", all.directions);
             // A square of 2 × 2 m, 1 m away, is a sixth of all directions.
             assert!((open.directions / all.directions - 5.0 / 6.0).abs() < 0.01, "{}", open.directions);
@@ -372,7 +372,7 @@ mod tests {
         let world_from_camera = Mat4::from_translation(-Vec3::Z) * Mat4::from_rotation_x(std::f32::consts::PI);
         let projection = Projection::Pinhole { fx: 600.0, fy: 600.0, cx: 150.0, cy: 270.0 };
         let camera = Camera { projection, width: 300, height: 540, world_from_camera };
-        let Shown { all, open, behind, .. } = shown(camera.clone(), [100, 401], false);
+        let Shown { all, open, behind, .. } = shown(camera, [100, 401], false);
         assert_eq!((behind.directions, open.directions), (all.directions, 0.0));
         assert_eq!(behind.brightest.1, [100, 400]);
         // Negative control: from above, the same camera sees its front.
