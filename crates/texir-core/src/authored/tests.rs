@@ -178,10 +178,13 @@ fn textures_of_the_baked_scene_are_looked_up_where_they_were() {
         "extensionsUsed": ["KHR_texture_transform", "KHR_materials_clearcoat"],
         "images": [{ "uri": png() }], "textures": [{ "source": 0 }],
         "materials": [{
-            "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "texCoord": 1 }, "roughnessFactor": 0.3 },
-            "normalTexture": {
-                "index": 0, "texCoord": 2, "extensions": { "KHR_texture_transform": { "scale": [3, 3] } }
+            "pbrMetallicRoughness": {
+                "baseColorTexture": {
+                    "index": 0, "texCoord": 1, "extensions": { "KHR_texture_transform": { "scale": [3, 3] } }
+                },
+                "roughnessFactor": 0.3,
             },
+            "normalTexture": { "index": 0, "texCoord": 2 },
             "occlusionTexture": { "index": 0 },
             "emissiveTexture": {
                 "index": 0, "texCoord": 0, "extensions": { "KHR_texture_transform": { "texCoord": 2, "scale": [2, 2] } }
@@ -212,7 +215,7 @@ fn textures_of_the_baked_scene_are_looked_up_where_they_were() {
             (&material["occlusionTexture"], 0),
             (&material["emissiveTexture"], 0),
             (transform, 2),
-            (&material["normalTexture"]["extensions"]["KHR_texture_transform"], 2),
+            (&base["extensions"]["KHR_texture_transform"], 1),
             (clearcoat, 1),
         ];
         for (reference, set) in looked_up {
