@@ -29,8 +29,8 @@ pub(super) const DARK: f32 = 0.01;
 pub struct Bounces {
     /// That of the first gather; later ones take fewer rays, as they bring less light.
     pub quality: Quality,
-    /// Bounces end when what the further ones would add is below this share of all light, and nowhere above four times that share of
-    /// what light there is.
+    /// Bounces end when what the further ones would add is below this share of all light and, in all but a hundredth of the map, below
+    /// four times this share of what light there is.
     pub tolerance: f32,
     /// Bounces end here even so; 0 leaves direct light alone.
     pub most: u32,
