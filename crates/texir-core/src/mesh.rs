@@ -111,7 +111,7 @@ impl Mesh {
         let moved = (offset_origin(Vec3::splat(away), Vec3::X).x - away).max(offset_origin(Vec3::ZERO, Vec3::X).x);
         (moved > LARGEST_STEP * size).then(|| {
             format!(
-                "the mesh is {size:.2} m large and reaches {away:.0} m from the origin, where rays start {moved:.0e} m off its surfaces: light \
+                "the mesh is {size:.3} m large and reaches {away:.0} m from the origin, where rays start {moved:.0e} m off its surfaces: light \
                  will be wrong; expected metres, and the mesh (with its cameras) near the origin"
             )
         })

@@ -4,6 +4,7 @@
 //! ([`crate::backend::Backend::punctual`]), with one shadow ray per point and light.
 
 use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
 
 use crate::error::{Error, Result};
 
@@ -54,18 +55,20 @@ impl PunctualLight {
         Self { inverse_range: 1.0 / range, ..self }
     }
 
-    /// Errors on numbers that no light can have.
+    /// Errors on numbers that no light can have, and on directions of another length than 1, which would dim what shines along them.
     pub fn check(&self) -> Result<()> {
         let vectors = [self.position, self.direction, self.intensity];
         let numbers = [self.inverse_range, self.cone_scale, self.cone_offset];
         let finite = vectors.iter().flatten().chain(&numbers).all(|v| v.is_finite());
+        let aims = self.distant != 0 || self.cone_scale != 0.0;
+        let unit = !aims || (Vec3::from(self.direction).length() - 1.0).abs() < 1e-3;
         let positive = self.intensity.iter().all(|v| *v >= 0.0) && self.inverse_range >= 0.0;
-        if finite && positive {
+        if finite && positive && unit {
             return Ok(());
         }
         Err(Error::invalid(format!(
             "its intensity, by its colour, is {:?}, its range {}, its place {:?}, its direction {:?}, its cone {} and {}; expected \
-             finite numbers, intensity and range positive",
+             finite numbers, intensity and range positive, a direction of length 1",
             self.intensity,
             1.0 / self.inverse_range,
             self.position,
@@ -73,5 +76,23 @@ impl PunctualLight {
             self.cone_scale,
             self.cone_offset
         )))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_aims_has_a_direction_of_length_1() {
+        let white = [1.0; 3];
+        for (direction, sound) in [([0.0, 0.6, -0.8], true), ([0.0, 0.5, -0.5], false), ([0.0; 3], false)] {
+            let lights =
+                [PunctualLight::distant(direction, white), PunctualLight::spot([0.0; 3], direction, white, [0.1, 0.2])];
+            for light in lights {
+                assert_eq!(light.check().is_ok(), sound, "{light:?}");
+            }
+        }
+        PunctualLight::point([0.0; 3], white).check().unwrap();
     }
 }

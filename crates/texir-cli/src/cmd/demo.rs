@@ -53,6 +53,11 @@ pub struct Demo {
     roughness_variation: f32,
 }
 
+/// Seed of everything random in the capture. The built-in flats are numbered from 1.
+fn seed(session: &Session<'_>) -> u64 {
+    u64::from(session.config.fit.seed) + 1
+}
+
 /// Errors where something is in the place of the capture that no demo has made: it would be lost.
 fn check_replaceable(folder: &Path) -> Result<(), Failure> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
@@ -74,13 +79,15 @@ impl Demo {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
         session.config.check_set()?;
         check_replaceable(&folder)?;
+        let of_flat = self.of_flat(session);
+        let flat = Flat::generate(&of_flat)?;
         let staging = Staging::new(&out)?;
         let mut config = session.config.clone();
         if config.fit.atlas_size == 0 {
             config.fit.atlas_size = ATLAS;
         }
         let session = &Session { config: &config, ..*session };
-        self.make(&folder, staging.partial().is_dir(), session)?;
+        self.make(&folder, (&of_flat, &flat), staging.partial().is_dir(), session)?;
         let capture = capture::load(&folder, &LoadOptions::default(), session.console)?;
         let output = fit::write(staging, &capture, session)?;
         let evaluation = fit::evaluate(&out, &output, &capture, RAYS, session)?;
@@ -98,13 +105,22 @@ impl Demo {
         })
     }
 
-    /// Generates and renders the flat, and puts the capture in place of an earlier one once it is whole; unless a fit `was_stopped`
-    /// of just this capture, which goes on then.
-    fn make(&self, folder: &Path, was_stopped: bool, session: &Session<'_>) -> Result<(), Failure> {
-        let seed = u64::from(session.config.fit.seed) + 1;
-        let paint = if self.plain { PaintStyle::Plain } else { PaintStyle::Patterned };
+    fn of_flat(&self, session: &Session<'_>) -> FlatOptions {
         let Self { rooms, roughness_variation, .. } = *self;
-        let of_flat = FlatOptions { seed, rooms, paint, roughness_variation, atlas: ATLAS };
+        let paint = if self.plain { PaintStyle::Plain } else { PaintStyle::Patterned };
+        FlatOptions { seed: seed(session), rooms, paint, roughness_variation, atlas: ATLAS }
+    }
+
+    /// Renders the flat, and puts the capture in place of an earlier one once it is whole; unless a fit `was_stopped`
+    /// of just this capture, which goes on then.
+    fn make(
+        &self,
+        folder: &Path,
+        (of_flat, flat): (&FlatOptions, &Flat),
+        was_stopped: bool,
+        session: &Session<'_>,
+    ) -> Result<(), Failure> {
+        let seed = seed(session);
         let (train, novel) = (self.views, self.views.div_ceil(TRAIN_PER_NOVEL));
         let of_shots = ShotOptions { seed, train, novel, ..ShotOptions::default() };
         let of_views = RenderOptions { seed, ..RenderOptions::default() };
@@ -113,13 +129,12 @@ impl Demo {
             session.console.note(&format!("{:>24}  {}", "made already", folder.display()));
             return Ok(());
         }
-        let flat = Flat::generate(&of_flat)?;
-        let shots = demo::shots(&flat, &of_shots, session.console)?;
-        let rendered = demo::render(&flat, &shots, &of_views, session.console)?;
+        let shots = demo::shots(flat, &of_shots, session.console)?;
+        let rendered = demo::render(flat, &shots, &of_views, session.console)?;
         let failed = |e: std::io::Error| Failure::new(format!("{}: cannot be written: {e}", folder.display()));
         let fresh = TempDir::with_prefix_in(".texir-", &self.output).map_err(failed)?;
         let made = fresh.path().join(CAPTURE);
-        demo::write(&flat, &rendered, &made, session.console)?;
+        demo::write(flat, &rendered, &made, session.console)?;
         std::fs::write(made.join(RECIPE), recipe).map_err(failed)?;
         if folder.exists() {
             std::fs::rename(folder, fresh.path().join("earlier")).map_err(failed)?;

@@ -362,10 +362,14 @@ fn shading(
         let metallic = Vec3::splat(base.metallic_factor());
         let strength = material.emissive_strength().unwrap_or(1.0);
         let emitted = Vec3::from(material.emissive_factor()) * strength;
-        if !(emitted.min_element() >= 0.0 && emitted.is_finite() && Vec3::new(r, g, b).is_finite()) {
+        let reflects = [r, g, b].iter().all(|v| (0.0..=1.0 + ROUNDED).contains(v));
+        if !(emitted.min_element() >= 0.0 && emitted.is_finite() && reflects) {
             return Err(Error::file(
                 path,
-                format!("{name} emits {emitted} and reflects ({r}, {g}, {b}); expected positive numbers"),
+                format!(
+                    "{name} emits {emitted} and reflects ({r}, {g}, {b}); expected emissiveFactor and emissiveStrength of at least 0, \
+                     baseColorFactor from 0 to 1"
+                ),
             ));
         }
         Ok(Shading {

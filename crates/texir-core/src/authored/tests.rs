@@ -612,6 +612,23 @@ fn spots_without_a_cone_are_refused() {
 }
 
 #[test]
+fn surfaces_that_reflect_more_than_all_light_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let read = |v: f32| {
+        let colour = json!({ "name": "wall", "pbrMetallicRoughness": { "baseColorFactor": [0.5, v, 0.5, 1.0] } });
+        let scene = write_squares(folder.path(), &[(&[], Some(0))], json!({ "materials": [colour] }));
+        read_gltf(&scene, 16, Reflected::Diffusely, &Silent).map(drop).map_err(|e| e.to_string())
+    };
+    for v in [1.5, -0.1] {
+        let error = read(v).unwrap_err();
+        let said = format!("\"wall\" emits [0, 0, 0] and reflects (0.5, {v}, 0.5)");
+        assert!(error.contains(&said) && error.contains("baseColorFactor from 0 to 1"), "{error}");
+    }
+    // Negative control, with what conversions leave.
+    read(1.0001).unwrap();
+}
+
+#[test]
 fn lightmaps_without_room_for_a_chart_are_refused_before_unwrapping() {
     let folder = tempfile::tempdir().unwrap();
     let scene = write_squares(folder.path(), &[(&[], None)], json!({}));

@@ -1,6 +1,8 @@
 //! What the training views show of the mesh, before anything is fitted: light that the mesh has no front for, images that clip, and
 //! views that contradict the others. Each of these ruins a result, and none of them stops a fit.
 
+mod noise;
+
 use std::collections::HashMap;
 
 use glam::Vec3;
@@ -32,6 +34,8 @@ const EXPOSED: f32 = 0.25;
 /// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off in the median.
 const OFF: f32 = 0.3;
 const TIMES: f32 = 2.5;
+/// Images are noisy where their radiance differs by this from pixel to pixel for no reason, in ln.
+const NOISY: f32 = 0.04;
 
 /// What a training view shows.
 #[derive(Clone, Debug)]
@@ -46,6 +50,9 @@ pub struct Shown {
     pub all: Share,
     /// The largest value of its image, and the share of its pixels that have it in two channels at least.
     pub largest: (f32, f64),
+    /// Standard deviation of ln radiance from pixel to pixel, of the file's own pixels, where nothing but noise makes them
+    /// differ; `None` where the image is too small or black.
+    pub noise: Option<f32>,
     /// How it agrees with other views of the same places; `None` where too few show enough of them.
     pub agreement: Option<Agreement>,
 }
@@ -83,7 +90,7 @@ impl Survey {
             progress.check()?;
             // What ends at a value does so in the file, before anything is made of it.
             let plain = View { scale: [1.0; 3], blur: 0.0, ..view.clone() }.load_image(progress)?;
-            let largest = largest(&plain);
+            let (largest, noise) = (largest(&plain), noise::noise(&plain));
             let reduced = (1..=view.camera.width.div_ceil(COLUMNS)).rev().find_map(|factor| view.reduced(factor));
             let view = reduced.as_ref().unwrap_or(view);
             let reduced = plain.reduced(view.reduction / views[index].reduction, mean_pixel);
@@ -94,6 +101,7 @@ impl Survey {
                 open: Share::default(),
                 all: Share::default(),
                 largest,
+                noise,
                 agreement: None,
             };
             let means = of_view.look(backend, view, &image)?;
@@ -160,6 +168,7 @@ impl Survey {
             ));
         }
         told.extend(self.clipped());
+        told.extend(self.noisy());
         told.extend(self.contradicted());
         told
     }
@@ -194,6 +203,17 @@ impl Survey {
                  the images (`texir hdr`)",
                 100.0 * share,
                 most.name
+            )
+        })
+    }
+
+    fn noisy(&self) -> Option<String> {
+        let noise = median(&mut self.0.iter().filter_map(|shown| shown.noise).collect::<Vec<_>>())?;
+        (noise > NOISY).then(|| {
+            format!(
+                "the training images are noisy, by {:.0} % from pixel to pixel: surfaces come out too rough, and uneven; average several \
+                 exposures, draw renderings with more samples, or denoise them",
+                100.0 * noise
             )
         })
     }
@@ -364,6 +384,24 @@ mod tests {
             assert_eq!((open.brightest.1, behind.directions), ([450, 42], 0.0));
             assert!(open.light > 0.9 * all.light);
         }
+    }
+
+    #[test]
+    fn noise_is_told_of_where_most_views_have_it() {
+        let camera = Camera {
+            projection: Projection::Equirectangular,
+            width: 256,
+            height: 128,
+            world_from_camera: Mat4::from_translation(Vec3::Z),
+        };
+        let sound = shown(camera, [0, 0], false);
+        let told = |noises: [Option<f32>; 3]| {
+            let views = noises.map(|noise| Shown { noise, ..sound.clone() });
+            Survey(views.to_vec()).warnings().iter().any(|told| told.contains("noisy, by 8 %"))
+        };
+        assert!(told([Some(0.08), Some(0.09), Some(0.01)]));
+        assert!(!told([Some(0.01), Some(0.09), Some(0.01)]));
+        assert!(!told([None; 3]));
     }
 
     #[test]

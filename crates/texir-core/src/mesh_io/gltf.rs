@@ -3,11 +3,12 @@
 
 use std::path::Path;
 
-use glam::{Mat4, Vec2, Vec3};
+use glam::{Mat4, Quat, Vec2, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::buffer::{Data, Source};
 use gltf::material::AlphaMode;
 use gltf::mesh::Mode;
+use gltf::scene::Transform;
 use gltf::{Accessor, Buffer, Document, Gltf, Node, Primitive, Semantic};
 use gltf_json::extensions::ENABLED_EXTENSIONS;
 use gltf_json::validation::Checked;
@@ -161,12 +162,30 @@ pub(crate) fn for_each_node(
         if std::mem::replace(&mut visited[node.index()], true) {
             return Err(Error::file(path, format!("node {} is reached twice; expected a tree", node.index())));
         }
-        let world_from_node = world_from_parent * Mat4::from_cols_array_2d(&node.transform().matrix());
+        let world_from_node = world_from_parent * parent_from_node(path, node.index(), node.transform())?;
         visit(&node, world_from_node)?;
         let children: Vec<_> = node.children().map(|c| (c, world_from_node)).collect();
         stack.extend(children.into_iter().rev());
     }
     Ok(())
+}
+
+/// The transform of a node. A rotation of another length than 1 would skew what it turns; it is taken for the unit one that it is along.
+fn parent_from_node(path: &Path, node: usize, transform: Transform) -> Result<Mat4> {
+    match transform {
+        Transform::Matrix { matrix } => Ok(Mat4::from_cols_array_2d(&matrix)),
+        Transform::Decomposed { translation, rotation, scale } => {
+            let length = Quat::from_array(rotation).length();
+            let turn = Quat::from_array(rotation) / length;
+            if !turn.is_finite() {
+                return Err(Error::file(
+                    path,
+                    format!("rotation of node {node} is {rotation:?}; expected a quaternion of length 1"),
+                ));
+            }
+            Ok(Mat4::from_scale_rotation_translation(scale.into(), turn, translation.into()))
+        }
+    }
 }
 
 pub(super) fn read(path: &Path) -> Result<RawMesh> {

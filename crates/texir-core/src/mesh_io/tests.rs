@@ -294,6 +294,18 @@ fn gltf_primitives_are_joined_under_their_nodes_transforms() {
     }
 }
 
+#[test]
+fn gltf_rotations_of_any_length_turn_and_do_no_more() {
+    let turned = |rotation: [f32; 4]| read_gltf(false, |document| document["nodes"][1]["rotation"] = rotation.into());
+    // A quarter about z.
+    let unit = turned([0.0, 0.0, 0.5f32.sqrt(), 0.5f32.sqrt()]).unwrap().mesh;
+    let [longer, plain] = [turned([0.0, 0.0, 3.0, 3.0]), read_gltf(false, |_| {})].map(|read| read.unwrap().mesh);
+    let same = |a: &Mesh, b: &Mesh| a.positions.iter().zip(&b.positions).all(|(a, b)| a.distance(*b) < 1e-6);
+    assert!(same(&unit, &longer) && !same(&unit, &plain));
+    let error = message(turned([0.0; 4]));
+    assert!(error.contains("rotation of node 1 is [0.0, 0.0, 0.0, 0.0]; expected a quaternion"), "{error}");
+}
+
 /// The square's corners in another order, wound as OpenGL has it, and the triangles that come of them.
 #[test]
 fn strips_and_fans_are_wound_as_lists_are() {
