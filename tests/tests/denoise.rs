@@ -5,6 +5,7 @@ use glam::Vec3;
 use texir_core::backend::Backend;
 use texir_core::cpu;
 use texir_core::denoise::{Halves, Noisy};
+use texir_core::progress::Silent;
 use texir_core::rng::hash2;
 use texir_core::scene::Scene;
 use texir_core::surface::SurfacePoint;
@@ -60,8 +61,9 @@ fn denoising() {
     let (halves, apart) = (halves(points.len()), (0..points.len()).map(|i| i % 80 > 70).collect::<Vec<_>>());
     let noisy = Noisy { points: &points, halves: &halves, apart: &apart, texel: TEXEL };
     let mut backend = GpuBackend::new(&gpu(), empty()).unwrap();
-    let got = backend.denoise(noisy).unwrap();
-    let twin = |noisy| cpu::denoise::denoise::<f64>(noisy).into_iter().flatten().collect::<Vec<f64>>();
+    let got = backend.denoise(noisy, &Silent).unwrap();
+    let twin =
+        |noisy| cpu::denoise::denoise::<f64>(noisy, &Silent).unwrap().into_iter().flatten().collect::<Vec<f64>>();
     let expected = twin(noisy);
     SOLVED.check("denoised", &lanes3(&got), &expected);
     // Negative controls: what is left of the noise, and points that are mixed with those apart, are told apart.
@@ -71,16 +73,19 @@ fn denoising() {
     let mixed = twin(Noisy { apart: &vec![false; points.len()], ..noisy });
     assert!(SOLVED.failures(&lanes3(&got), &mixed).len() > points.len() / 10);
     // The same bits however it is cut: the second call has measured the device, and a block sees what is around it.
-    assert!(got == backend.denoise(noisy).unwrap());
+    assert!(got == backend.denoise(noisy, &Silent).unwrap());
     let part: Vec<usize> = (0..points.len()).filter(|i| *i as u32 % SIDE < 50).collect();
     let pick = |half: &Vec<[f32; 3]>| part.iter().map(|&i| half[i]).collect();
     let block = backend
-        .denoise(Noisy {
-            points: &part.iter().map(|&i| points[i]).collect::<Vec<_>>(),
-            halves: &[pick(&halves[0]), pick(&halves[1])],
-            apart: &part.iter().map(|&i| apart[i]).collect::<Vec<_>>(),
-            texel: TEXEL,
-        })
+        .denoise(
+            Noisy {
+                points: &part.iter().map(|&i| points[i]).collect::<Vec<_>>(),
+                halves: &[pick(&halves[0]), pick(&halves[1])],
+                apart: &part.iter().map(|&i| apart[i]).collect::<Vec<_>>(),
+                texel: TEXEL,
+            },
+            &Silent,
+        )
         .unwrap();
     let differs = |margin: u32| {
         let own = |i: &usize| *i as u32 % SIDE < 50 - margin;
@@ -94,13 +99,15 @@ fn denoising() {
 fn points_in_any_order_and_by_themselves_pass() {
     let mut backend = GpuBackend::new(&gpu(), empty()).unwrap();
     let nothing: Halves = [vec![], vec![]];
-    assert!(backend.denoise(Noisy { points: &[], halves: &nothing, apart: &[], texel: TEXEL }).unwrap().is_empty());
+    assert!(
+        backend.denoise(Noisy { points: &[], halves: &nothing, apart: &[], texel: TEXEL }, &Silent).unwrap().is_empty()
+    );
     let one: Halves = [vec![[1.0; 3]], vec![[3.0; 3]]];
     let lonely = Noisy { points: &points()[..1], halves: &one, apart: &[false], texel: TEXEL };
-    assert_eq!(backend.denoise(lonely).unwrap(), [[2.0; 3]]);
+    assert_eq!(backend.denoise(lonely, &Silent).unwrap(), [[2.0; 3]]);
     let short = Noisy { points: &points()[..2], ..lonely };
-    assert!(backend.denoise(short).unwrap_err().to_string().contains("2 points to denoise"));
+    assert!(backend.denoise(short, &Silent).unwrap_err().to_string().contains("2 points to denoise"));
     let dark: Halves = [vec![[0.0; 3]; 500], vec![[0.0; 3]; 500]];
     let dark = Noisy { points: &points()[..500], halves: &dark, apart: &[false; 500], texel: TEXEL };
-    assert!(backend.denoise(dark).unwrap().iter().all(|e| *e == [0.0; 3]));
+    assert!(backend.denoise(dark, &Silent).unwrap().iter().all(|e| *e == [0.0; 3]));
 }

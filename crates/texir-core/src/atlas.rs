@@ -37,7 +37,8 @@ pub struct Atlas {
 }
 
 impl Atlas {
-    /// Maps every texel to the backend's mesh. Errors when no texel is covered.
+    /// Maps every texel to the backend's mesh. Errors when no texel is covered, or a side is longer than [`LARGEST_SIDE`]. Where charts
+    /// overlap or leave [0, 1], texels are another surface's or missing; `mesh_io::atlas_report` tells.
     pub fn new(backend: &mut dyn Backend, width: usize, height: usize) -> Result<Self> {
         let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };
         map(backend, [width, height], |_, points, inside| {
@@ -98,8 +99,10 @@ pub(crate) fn map(
     [width, height]: [usize; 2],
     mut take: impl FnMut(Range<usize>, Vec<SurfacePoint>, Vec<bool>) -> Result<()>,
 ) -> Result<()> {
-    if width == 0 || height == 0 {
-        return Err(Error::invalid(format!("the atlas is {width}×{height} texels; expected at least 1×1")));
+    if ![width, height].iter().all(|side| (1..=LARGEST_SIDE).contains(side)) {
+        return Err(Error::invalid(format!(
+            "the atlas is {width}×{height} texels; expected at least 1×1, and at most {LARGEST_SIDE} a side"
+        )));
     }
     let scene = backend.scene().clone();
     let mut any = false;

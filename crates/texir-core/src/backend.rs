@@ -35,7 +35,10 @@ pub struct Sampling {
     pub seed: u32,
 }
 
-/// How many rays the irradiance gather sends, and where.
+/// Samples of a kind at a point at most: further ones are lost to single precision.
+pub const MOST_SAMPLES: u32 = 1 << 20;
+
+/// How many rays the irradiance gather sends, and where: at most [`MOST_SAMPLES`] of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Gather {
     /// Cosine-distributed rays per point, at least 1.
@@ -323,12 +326,15 @@ pub trait Backend {
     /// Denoise: the mean of two gathers of irradiance at every point without most of its noise
     /// ([`crate::denoise`]). What is further than some twenty-five texels from a point does not change a bit of its result,
     /// unless so much lies around some point that a GPU leaves all to the processor, which rounds otherwise (65,000 points).
-    fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>>;
+    /// Of `progress` it asks whether to stop.
+    fn denoise(&mut self, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>>;
 
-    /// Shade: diffuse from irradiance + importance-sampled GGX over the TBL, with the Jacobian its adjoint needs.
+    /// Shade: diffuse from irradiance + importance-sampled GGX over the TBL, with the Jacobian its adjoint needs. Lambert's diffuse model
+    /// and the paper's masking ([`crate::brdf::Masking::Schlick`]), with which paper mode fits; full mode chooses its own, and
+    /// [`crate::render::Renderer`] draws with what its textures name. Expects roughness in (0, 1].
     fn shade(
         &mut self,
         points: &[ShadePoint],

@@ -1,5 +1,6 @@
 //! THE BRDF: simplified Disney with the constants of TexIR (Li et al. 2023), following Karis, "Real Shading in Unreal
-//! Engine 4" (2013). Value, sampling, density and derivatives; `shaders/shared/brdf.wgsl` is its twin.
+//! Engine 4" (2013). Value, sampling, density, and what derivatives by roughness have in closed form (that of Smith's masking,
+//! which no adjoint pass needs, [`crate::real::Dual`] tells); `shaders/shared/brdf.wgsl` is its twin.
 //!
 //! Directions are unit and point away from the surface; `n·l` and so on are clamped to [0, 1] by the caller. r is the
 //! perceptual roughness, α = r². No function here includes the cosine n·l unless it says so.

@@ -2,7 +2,10 @@
 //!
 //! Base colour is sRGB-encoded; roughness is in G and metallic in B of one linear image; lamps are an emissive image
 //! scaled by `KHR_materials_emissive_strength`. TEXCOORD_1 repeats the atlas, for a lightmap. Values that eight bits
-//! cannot hold (float albedo and roughness, HDR radiance, irradiance) are written as EXR beside it, by others.
+//! cannot hold (float albedo and roughness, HDR radiance, irradiance) are written as EXR beside it, by others. Beyond the charts,
+//! where all maps are 0, images go on as what is near, so that mips of them keep their colours.
+
+mod beyond;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -108,8 +111,9 @@ impl Builder {
             name: Some("atlas".to_owned()),
             ..Sampler::default()
         });
-        let base_colour = self.texture(path, "albedo", &encode_srgb(of.albedo), sampler)?;
-        let metallic_roughness = pack_metallic_roughness(of.roughness, of.metallic)?;
+        let albedo = beyond::filled(of.albedo, &of.charts(of.albedo.size()));
+        let base_colour = self.texture(path, "albedo", &encode_srgb(&albedo), sampler)?;
+        let metallic_roughness = pack_metallic_roughness(of)?;
         let metallic_roughness = self.texture(path, "metallic_roughness", &metallic_roughness, sampler)?;
         let mut material = Material {
             name: Some("texir".to_owned()),
@@ -128,6 +132,7 @@ impl Builder {
         };
         let finite = |rgb: &Rgb| rgb.data.iter().flatten().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
         if let Some((emission, strength)) = of.emission.map(|e| (e, finite(e))).filter(|(_, max)| *max > 0.0) {
+            let emission = beyond::filled(emission, &of.charts(emission.size()));
             let normalised = emission.map(|rgb| rgb.map(|v| v / strength));
             material.emissive_texture = Some(self.texture(path, "emission", &encode_srgb(&normalised), sampler)?);
             material.emissive_factor = EmissiveFactor([1.0; 3]);
@@ -278,11 +283,27 @@ impl Builder {
     }
 }
 
+impl Materials<'_> {
+    /// Which texels of the maps of some size any of them holds something at: those of charts, and around them.
+    fn charts(&self, size: (usize, usize)) -> Vec<bool> {
+        let of_rgb = |map: &&Rgb| map.data.iter().map(|v| *v != [0.0; 3]).collect::<Vec<_>>();
+        let of_gray = |map: &&Gray| map.data.iter().map(|v| *v != 0.0).collect::<Vec<_>>();
+        let rgb = [Some(self.albedo), self.emission].into_iter().flatten().filter(|map| map.size() == size);
+        let gray = [Some(self.roughness), self.metallic].into_iter().flatten().filter(|map| map.size() == size);
+        let mut any = vec![false; size.0 * size.1];
+        for holds in rgb.map(|map| of_rgb(&map)).chain(gray.map(|map| of_gray(&map))) {
+            any.iter_mut().zip(holds).for_each(|(any, holds)| *any |= holds);
+        }
+        any
+    }
+}
+
 /// Linear: R unused, G roughness, B metallic.
-fn pack_metallic_roughness(roughness: &Gray, metallic: Option<&Gray>) -> Result<Raster<[u8; 3]>> {
+fn pack_metallic_roughness(of: &Materials) -> Result<Raster<[u8; 3]>> {
     let level = |v: f32| (v * 255.0).round() as u8;
-    let Some(metallic) = metallic else {
-        return Ok(roughness.map(|r| [0, level(*r), 0]));
+    let (roughness, charts) = (of.roughness, of.charts(of.roughness.size()));
+    let Some(metallic) = of.metallic else {
+        return Ok(beyond::filled(&roughness.map(|r| [*r]), &charts).map(|[r]| [0, level(*r), 0]));
     };
     if metallic.size() != roughness.size() {
         return Err(Error::invalid(format!(
@@ -291,8 +312,9 @@ fn pack_metallic_roughness(roughness: &Gray, metallic: Option<&Gray>) -> Result<
             roughness.size()
         )));
     }
-    let pixels = roughness.data.iter().zip(&metallic.data).map(|(r, m)| [0, level(*r), level(*m)]).collect();
-    Raster::new(roughness.width, roughness.height, pixels)
+    let both = roughness.data.iter().zip(&metallic.data).map(|(r, m)| [*r, *m]).collect();
+    let both = Raster::new(roughness.width, roughness.height, both)?;
+    Ok(beyond::filled(&both, &charts).map(|[r, m]| [0, level(*r), level(*m)]))
 }
 
 #[cfg(test)]

@@ -135,5 +135,5 @@ pub mod texture;
 #[cfg(feature = "files")]
 pub mod unwrap;
 
-/// The version whose types this crate's API has.
-pub use glam;
+/// The versions whose types this crate's API has.
+pub use {bytesize, glam};

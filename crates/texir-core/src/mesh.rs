@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(misplaced(300.0, Vec3::splat(-300.0)), None);
         assert_eq!(misplaced(0.05, Vec3::ZERO), None);
         let said = misplaced(3.0, Vec3::new(0.0, 10_000.0, 0.0)).unwrap();
-        assert!(said.contains("4.24 m large") && said.contains("10003 m from the origin"), "{said}");
+        assert!(said.contains("4.243 m large") && said.contains("10003 m from the origin"), "{said}");
         assert!(misplaced(3.0, Vec3::new(0.0, 0.0, -10_000.0)).is_some());
         // In kilometres, a room is a speck.
         assert!(misplaced(0.003, Vec3::ZERO).is_some());

@@ -63,12 +63,13 @@ impl PunctualLight {
         let aims = self.distant != 0 || self.cone_scale != 0.0;
         let unit = !aims || (Vec3::from(self.direction).length() - 1.0).abs() < 1e-3;
         let positive = self.intensity.iter().all(|v| *v >= 0.0) && self.inverse_range >= 0.0;
-        if finite && positive && unit {
+        if finite && positive && unit && self.distant <= 1 {
             return Ok(());
         }
         Err(Error::invalid(format!(
             "its intensity, by its colour, is {:?}, its range {}, its place {:?}, its direction {:?}, its cone {} and {}; expected \
-             finite numbers, intensity and range positive, a direction of length 1",
+             finite numbers, intensity and range positive, a direction of length 1, \
+             and `distant` 0 or 1",
             self.intensity,
             1.0 / self.inverse_range,
             self.position,

@@ -34,12 +34,11 @@ impl<T: Clone> Raster<T> {
 impl<T> Raster<T> {
     /// Wraps `data`, which must hold `width · height` values.
     pub fn new(width: usize, height: usize, data: Vec<T>) -> Result<Self> {
-        if data.len() == width * height {
+        if width.checked_mul(height) == Some(data.len()) {
             Ok(Self { width, height, data })
         } else {
             Err(Error::invalid(format!(
-                "a {width}×{height} image needs {} values, {} given",
-                width * height,
+                "{} values are given for an image of {width}×{height}; expected one per pixel",
                 data.len()
             )))
         }

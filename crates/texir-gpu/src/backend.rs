@@ -143,13 +143,14 @@ impl Backend for GpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         countable(points.len())?;
+        check::punctual(lights)?;
         self.pass("punctual", |b| punctual::run(&mut b.context, &b.geometry, points, lights, progress))
     }
 
-    fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+    fn denoise(&mut self, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
         countable(noisy.points.len())?;
         noisy.check()?;
-        self.pass("denoise", |b| denoise::run(&mut b.context, noisy))
+        self.pass("denoise", |b| denoise::run(&mut b.context, noisy, progress))
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {

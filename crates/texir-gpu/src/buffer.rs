@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::num::NonZeroU64;
 
 use bytemuck::Pod;
+use texir_core::bytesize::ByteSize;
 use texir_core::error::{Error, Result};
 
 use crate::gpu::Gpu;
@@ -196,11 +197,11 @@ fn create(gpu: &Gpu, name: &str, bytes: u64) -> Result<View> {
     let limit = largest_binding(gpu);
     if bytes > limit {
         return Err(Error::device(format!(
-            "{}: {name} needs {} MiB in one buffer, and this device binds at most {} MiB: use a smaller atlas or mesh, \
+            "{}: {name} needs {} in one buffer, and this device binds at most {}: use a smaller atlas or mesh, \
              another adapter, or the CPU backend",
             gpu.info().name,
-            bytes.div_ceil(1 << 20),
-            limit >> 20,
+            ByteSize(bytes),
+            ByteSize(limit),
         )));
     }
     let buffer = gpu.device().create_buffer(&wgpu::BufferDescriptor {

@@ -40,9 +40,10 @@ pub fn required_features() -> wgpu::Features {
     wgpu::Features::empty()
 }
 
-/// The limits to request for a device that runs the kernels: wgpu's defaults, with those that bound the size of a scene
+/// The limits to request for a device that runs the kernels on as large a scene as the adapter takes: wgpu's defaults, with those that bound the size of a scene
 /// and its textures raised to what the adapter has (the default of 128 MiB per storage binding is too small for scans), and
-/// the number of storage buffers too (gathers that sample the lights bind ten, the default is eight).
+/// the number of storage buffers too (gathers that sample the lights bind ten, the default is eight). A device with wgpu's defaults and
+/// ten storage buffers per stage is enough for small scenes.
 pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
     let best = adapter.limits();
     wgpu::Limits {

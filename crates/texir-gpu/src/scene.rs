@@ -30,7 +30,8 @@ impl Hierarchy {
     pub fn best(gpu: &Gpu) -> Self {
         // Other APIs' software drivers are not measured, and need not keep the bits of small numbers in float textures.
         let vulkan = gpu.info().backend == wgpu::Backend::Vulkan;
-        if gpu.is_cpu() && vulkan { Self::Textures } else { Self::Buffers }
+        let wide = gpu.device().limits().max_texture_dimension_2d >= TEXTURE_COLUMNS;
+        if gpu.is_cpu() && vulkan && wide { Self::Textures } else { Self::Buffers }
     }
 }
 

@@ -43,6 +43,9 @@ use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 
+/// The strongest radiance that a scene may send out: of more, squares leave single precision.
+const BRIGHTEST: f32 = 1e15;
+
 /// What an authored scene emits and reflects, per texel of the lightmap, and the light that is not on its surfaces.
 #[derive(Clone, Debug)]
 pub struct Surfaces {
@@ -69,10 +72,14 @@ impl Surfaces {
     pub fn check(&self, texels: &Texels<'_>) -> Result<()> {
         let size = texels.size();
         for (name, map) in [("albedo", &self.albedo), ("emission", &self.emission)] {
-            if [map.width, map.height] != size {
+            if [map.width, map.height] != size || map.data.len() != size[0] * size[1] {
                 return Err(Error::invalid(format!(
-                    "the {name} map is {}×{} texels; expected {}×{} as the lightmap",
-                    map.width, map.height, size[0], size[1]
+                    "the {name} map is {}×{} texels and holds {}; expected {}×{} as the lightmap",
+                    map.width,
+                    map.height,
+                    map.data.len(),
+                    size[0],
+                    size[1]
                 )));
             }
         }
@@ -80,13 +87,17 @@ impl Surfaces {
         if !channel(&self.albedo, |v| (0.0..=1.0).contains(v)) {
             return Err(Error::invalid("the albedo map leaves [0, 1]; expected linear reflectances"));
         }
-        if !channel(&self.emission, |v| *v >= 0.0 && v.is_finite()) {
-            return Err(Error::invalid("the emission map is negative or not finite; expected radiance"));
+        if !channel(&self.emission, |v| (0.0..=BRIGHTEST).contains(v)) {
+            return Err(Error::invalid(format!("the emission map leaves [0, {BRIGHTEST:e}]; expected radiance")));
+        }
+        if self.environment.as_ref().is_some_and(|sky| !channel(sky.radiance(), |v| *v <= BRIGHTEST)) {
+            return Err(Error::invalid(format!("the environment is brighter than {BRIGHTEST:e}; expected radiance")));
         }
         self.lights.iter().try_for_each(PunctualLight::check)
     }
 
-    /// What a bake of these surfaces depends on, with its `settings`.
+    /// What a bake of these surfaces depends on, with its `settings`: the size of the map, the backend's name and
+    /// [`Bounces::quality`]. When bounces end changes none of their steps.
     pub fn identity(&self, mesh: &Mesh, settings: impl Hash) -> String {
         let (albedo, lights): (&[u8], &[u8]) = (cast_slice(&self.albedo.data), cast_slice(&self.lights));
         let sky = self.environment.as_ref().map(|e| cast_slice::<_, u8>(&e.radiance().data));

@@ -4,8 +4,8 @@
 use std::f32::consts::PI;
 use std::ops::Range;
 
-use super::Surfaces;
 use super::series::{Remainder, Series};
+use super::{BRIGHTEST, Surfaces};
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
@@ -60,6 +60,12 @@ pub fn irradiance(
     progress: &dyn Progress,
 ) -> Result<Solved> {
     surfaces.check(texels)?;
+    if !(bounces.tolerance >= 0.0) {
+        return Err(Error::invalid(format!(
+            "the tolerance of bounces is {}; expected a share of the light, 0 or more",
+            bounces.tolerance
+        )));
+    }
     let mut solver = Solver { backend, texels, bounces, checkpoints, progress };
 
     solver.backend.set_environment(surfaces.environment.as_ref())?;
@@ -71,8 +77,11 @@ pub fn irradiance(
     let mut total = last.copy(texels)?;
     let mut series = Series::default();
     series.push(texels, &last, &total)?;
-    if !series.means[0].is_finite() {
-        return Err(Error::invalid("the scene's light is too strong for numbers; expected radiance below some 1e30"));
+    if !(series.means[0] <= f64::from(BRIGHTEST)) {
+        return Err(Error::invalid(format!(
+            "the scene's light is too strong: {:e} on average; expected irradiance below {BRIGHTEST:e}",
+            series.means[0]
+        )));
     }
     for k in 1..=bounces.most {
         if series.remainder().is_within(bounces.tolerance) {

@@ -629,6 +629,38 @@ fn surfaces_that_reflect_more_than_all_light_are_refused() {
 }
 
 #[test]
+fn surfaces_that_no_scene_has_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let surfaces = surfaces_of(&write_squares(folder.path(), &[(&[], None)], json!({})), 16);
+    let scene = read_gltf(folder.path().join("scene.gltf"), 16, Reflected::Diffusely, &Silent).unwrap();
+    let mut backend = CpuBackend::new(Scene::new(scene.mesh).unwrap());
+    let texels = Texels::map(&mut backend, [16; 2], Workspace::Memory, &Silent).unwrap();
+    let said = |change: &dyn Fn(&mut Surfaces)| {
+        let mut changed = surfaces.clone();
+        change(&mut changed);
+        changed.check(&texels).map_err(|e| e.to_string())
+    };
+    said(&|_| {}).unwrap();
+    for (change, part) in [
+        (
+            &(|s: &mut Surfaces| s.emission.data.truncate(5)) as &dyn Fn(&mut Surfaces),
+            "emission map is 16×16 texels and holds 5",
+        ),
+        (&|s| s.albedo.data.clear(), "albedo map is 16×16 texels and holds 0"),
+        (&|s| s.emission.data[7] = [0.0, f32::NAN, 0.0], "emission map leaves"),
+        (&|s| s.emission.data[7] = [2e15; 3], "emission map leaves [0, 1e15]"),
+        (&|s| s.albedo.data[7] = [1.5; 3], "albedo map leaves"),
+    ] {
+        let error = said(change).unwrap_err();
+        assert!(error.contains(part), "{part:?} is not in: {error}");
+    }
+    let quality = Quality::denoised(Gather::new(4, 4, 0));
+    let bounces = Bounces { quality, tolerance: f32::NAN, most: 1 };
+    let error = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap_err();
+    assert!(error.to_string().contains("tolerance of bounces is NaN"), "{error}");
+}
+
+#[test]
 fn lightmaps_without_room_for_a_chart_are_refused_before_unwrapping() {
     let folder = tempfile::tempdir().unwrap();
     let scene = write_squares(folder.path(), &[(&[], None)], json!({}));

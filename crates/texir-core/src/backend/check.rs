@@ -1,9 +1,10 @@
 //! Checks of what passes are given. Every backend makes them, so that misuse is the same error with each.
 
-use super::{Gather, GroupTarget, Groups, Material, Sampling, ShadePoint, Shaded};
+use super::{Gather, GroupTarget, Groups, MOST_SAMPLES, Material, Sampling, ShadePoint, Shaded};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
+use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::texture::{Footprints, Pyramid, Rows};
 
@@ -16,7 +17,13 @@ fn sized(what: &str, found: usize, expected: usize) -> Result<()> {
 }
 
 fn drawn(samples: u32) -> Result<()> {
-    if samples > 0 { Ok(()) } else { Err(Error::invalid("the number of samples is 0: at least one is needed")) }
+    match samples {
+        0 => Err(Error::invalid("the number of samples is 0: at least one is needed")),
+        1..=MOST_SAMPLES => Ok(()),
+        _ => {
+            Err(Error::invalid(format!("{samples} samples are asked for at a point; expected at most {MOST_SAMPLES}")))
+        }
+    }
 }
 
 /// That the texture-based lighting has texels, and that its lights are those of the mesh.
@@ -39,9 +46,15 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     Err(Error::invalid("the lights' clusters, tables and grid do not fit each other; expected those that Lights makes"))
 }
 
-/// That irradiance is gathered by some cosine samples: [`super::Gathered::back_faces`] is their share.
+/// That irradiance is gathered by some cosine samples ([`super::Gathered::back_faces`] is their share), and not by too many of a kind.
 pub fn irradiance(gather: Gather) -> Result<()> {
-    drawn(gather.cosine)
+    drawn(gather.cosine)?;
+    drawn(gather.light.max(1))
+}
+
+/// That lights are possible ones.
+pub fn punctual(lights: &[PunctualLight]) -> Result<()> {
+    lights.iter().try_for_each(PunctualLight::check)
 }
 
 /// That every point has a material.

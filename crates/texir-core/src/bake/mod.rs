@@ -78,7 +78,7 @@ pub struct Quality {
 
 impl Quality {
     /// A fixed number of rays, with most of the noise removed.
-    fn denoised(gather: Gather) -> Self {
+    pub fn denoised(gather: Gather) -> Self {
         Self { gather, error: None, denoise: Some(Denoiser::Regression) }
     }
 }

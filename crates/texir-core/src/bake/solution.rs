@@ -14,7 +14,7 @@ use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::denoise::{self, Noisy};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::raster::{Raster, Rgb, luminance};
 use crate::surface::SurfacePoint;
@@ -46,15 +46,28 @@ impl Solution {
 
     /// Some rows of [`Baked::map`]; `texels` are those that were baked.
     pub fn map_rows(&self, texels: &Texels<'_>, buried: Buried, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
+        self.check(texels, &rows)?;
         texels.rows(&self.irradiance, (buried == Buried::Fill).then_some(&self.seen), rows, PADDING)
     }
 
     /// Some rows of the map of [`Baked::standard_error`], 0 outside the charts and where [`Quality::error`] did not ask for it.
     pub fn error_rows(&self, texels: &Texels<'_>, rows: Range<usize>) -> Result<Vec<f32>> {
+        self.check(texels, &rows)?;
         match &self.standard_error {
             Some(errors) => texels.rows(errors, None, rows, 0),
             None => Ok(vec![0.0; rows.len() * texels.size()[0]]),
         }
+    }
+
+    /// That there are as many texels as were baked, and rows of theirs.
+    fn check(&self, texels: &Texels<'_>, rows: &Range<usize>) -> Result<()> {
+        let (baked, valid, height) = (self.irradiance.len(), texels.valid(), texels.size()[1]);
+        if baked == valid && rows.start <= rows.end && rows.end <= height {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "rows {rows:?} of {valid} texels on {height} rows are asked for; expected rows of the {baked} texels that were baked"
+        )))
     }
 
     /// How many texels lie inside other geometry.
@@ -195,7 +208,7 @@ impl Solution {
                     Ok(half.get(&block.items)?.iter().map(|g| g.irradiance).collect())
                 };
                 let noisy = Noisy { points, halves: &[half(a)?, half(b)?], apart: &buried, texel };
-                let clean = backend.denoise(noisy)?.into_iter().enumerate();
+                let clean = backend.denoise(noisy, progress)?.into_iter().enumerate();
                 Ok(clean.filter(|(i, _)| own(*i)).map(|(_, clean)| clean).collect())
             })?;
             self.irradiance.set(&owned, &clean)
@@ -249,7 +262,7 @@ pub fn solve(
 ) -> Result<Solution> {
     if quality.denoise == Some(Denoiser::OpenImageDenoise) {
         #[cfg(not(feature = "oidn"))]
-        return Err(crate::error::Error::invalid(
+        return Err(Error::invalid(
             "Open Image Denoise was asked for, but texir is built without it; build it with the feature `oidn`",
         ));
         #[cfg(feature = "oidn")]

@@ -28,7 +28,7 @@ pub struct Texels<'a> {
 }
 
 impl<'a> Texels<'a> {
-    /// Maps every texel of a map of `[width, height]` texels to the backend's mesh. Errors when no texel is covered.
+    /// Maps every texel of a map of `[width, height]` texels to the backend's mesh. Errors as [`Atlas::new`] does.
     pub fn map(
         backend: &mut dyn Backend,
         size: [usize; 2],
@@ -80,8 +80,8 @@ impl<'a> Texels<'a> {
         (0..valid).step_by(PIECE).map(move |start| Items::Range(start..(start + PIECE).min(valid)))
     }
 
-    /// The surface points of all, some at a time.
-    pub(crate) fn points(&self) -> impl Iterator<Item = Result<Cow<'_, [SurfacePoint]>>> {
+    /// The surface points of all, some at a time; the sequence of one is the index of its texel in the map.
+    pub fn points(&self) -> impl Iterator<Item = Result<Cow<'_, [SurfacePoint]>>> {
         self.points.pieces(PIECE)
     }
 

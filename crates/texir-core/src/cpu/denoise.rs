@@ -12,7 +12,9 @@ use crate::cholesky;
 use crate::denoise::{
     CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RIDGE, SIGNIFICANT, TOLERANCE,
 };
+use crate::error::Result;
 use crate::neighbours::{FAR, Neighbours};
+use crate::progress::Progress;
 use crate::real::{Real, V3};
 
 /// The smallest variance and squared value that is divided by.
@@ -36,14 +38,17 @@ struct Noise<R> {
     smoothed: R,
 }
 
-/// The mean of both halves at every point without most of its noise.
-pub fn denoise<R: Real>(noisy: Noisy<'_>) -> Vec<[R; 3]> {
+/// Points between which cancellation is honoured.
+const PIECE: usize = 1 << 15;
+
+/// The mean of both halves at every point without most of its noise. Errors when `progress` says to stop.
+pub fn denoise<R: Real>(noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[R; 3]>> {
     let search = Search { noisy, neighbours: Neighbours::new(noisy.points, CELL * noisy.texel) };
-    let smoothed = search.each(|i| search.smoothed::<R>(i));
-    let noise = search.each(|i| search.noise(i, &smoothed));
-    let fits = search.far(&Fits { noisy, smoothed, noise });
-    let cleaned = search.each(|i| search.clean(i, &fits));
-    search.far(&Conserve { noisy, cleaned })
+    let smoothed = search.each(progress, |i| search.smoothed::<R>(i))?;
+    let noise = search.each(progress, |i| search.noise(i, &smoothed))?;
+    let fits = search.far(progress, &Fits { noisy, smoothed, noise })?;
+    let cleaned = search.each(progress, |i| search.clean(i, &fits))?;
+    search.far(progress, &Conserve { noisy, cleaned })
 }
 
 /// The points, and who lies beside whom.
@@ -53,12 +58,22 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn each<T: Send>(&self, of: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-        (0..self.noisy.points.len()).into_par_iter().map(of).collect()
+    fn each<T: Send>(&self, progress: &dyn Progress, of: impl Fn(usize) -> T + Sync + Send) -> Result<Vec<T>> {
+        let count = self.noisy.points.len();
+        let mut found = Vec::with_capacity(count);
+        for first in (0..count).step_by(PIECE) {
+            progress.check()?;
+            found.par_extend((first..(first + PIECE).min(count)).into_par_iter().map(&of));
+        }
+        Ok(found)
     }
 
-    fn far<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(&self, pass: &P) -> Vec<P::Found> {
-        around::each(pass, &self.neighbours, self.noisy)
+    fn far<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
+        &self,
+        progress: &dyn Progress,
+        pass: &P,
+    ) -> Result<Vec<P::Found>> {
+        around::each(pass, &self.neighbours, self.noisy, progress)
     }
 
     /// Gives `found` the points within `radius` texels that may be mixed with point `i`, offsets in shares of the radius, and 1 less
@@ -354,6 +369,7 @@ impl<R: Real> Fit<R> {
 mod tests {
     use super::*;
     use crate::denoise::Halves;
+    use crate::progress::Silent;
     use crate::rng::{hash, hash2};
     use crate::surface::SurfacePoint;
 
@@ -382,7 +398,7 @@ mod tests {
     }
 
     fn clean(points: &[SurfacePoint], halves: &Halves, apart: &[bool]) -> Vec<[f32; 3]> {
-        denoise(Noisy { points, halves, apart, texel: TEXEL })
+        denoise(Noisy { points, halves, apart, texel: TEXEL }, &Silent).unwrap()
     }
 
     fn run(points: &[SurfacePoint], truth: &[f32]) -> Vec<f32> {

@@ -160,15 +160,16 @@ impl Backend for CpuBackend {
         lights: &[PunctualLight],
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
+        check::punctual(lights)?;
         map_in_chunks(points, progress, lights.len() as u64, |_, point| {
             let sum = |sum, light| sum + punctual::punctual::<f32>(&*self.scene, light, point);
             lights.iter().fold(V3::zero(), sum).to_f32()
         })
     }
 
-    fn denoise(&mut self, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+    fn denoise(&mut self, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
         noisy.check()?;
-        Ok(denoise::denoise(noisy))
+        denoise::denoise(noisy, progress)
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {

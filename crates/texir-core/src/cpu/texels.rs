@@ -38,7 +38,7 @@ impl TileBins {
             let corners = mesh.corner_uvs(triangle).map(|uv| uv * Vec2::new(width as f32, height as f32));
             let low = corners.into_iter().reduce(Vec2::min).unwrap_or_default() - 1.0;
             let high = corners.into_iter().reduce(Vec2::max).unwrap_or_default() + 1.0;
-            let tile = |x: f32, count: usize| ((x.max(0.0) as usize) / TILE).min(count - 1);
+            let tile = |x: f32, count: usize| ((x.max(0.0) as usize) / TILE).min(count.saturating_sub(1));
             let all_rows = height.div_ceil(TILE);
             for ty in tile(low.y, all_rows).max(first_row)..(tile(high.y, all_rows) + 1).min(end_row) {
                 for tx in tile(low.x, columns)..=tile(high.x, columns) {

@@ -108,6 +108,12 @@ pub fn fit(
 ) -> Result<FitResult> {
     settings.validate()?;
     let scene = backend.scene().clone();
+    if scene.mesh.positions != capture.mesh.positions || scene.mesh.triangles != capture.mesh.triangles {
+        return Err(Error::invalid(format!(
+            "{}: its mesh is not the backend's; make the backend with the scene of this capture",
+            capture.root.display()
+        )));
+    }
     let started = Instant::now();
     let mut timings = Timings { last: started, entries: Vec::new() };
 

@@ -4,6 +4,7 @@ use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 
 use crate::atlas::LARGEST_SIDE;
+use crate::backend::MOST_SAMPLES;
 use crate::backend::RoughnessGradient;
 use crate::brdf::Masking;
 use crate::diffuse::DiffuseModel;
@@ -13,9 +14,6 @@ use crate::specular_table::TableSampling;
 
 /// Rays per texel at the least: two halves, whose difference tells the noise, of two kinds.
 const LEAST_RAYS: u32 = 4;
-
-/// Rays of a texel or pixel at the most: further ones are lost to single precision.
-const MOST_RAYS: u32 = 1 << 20;
 
 /// How materials are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -679,13 +677,13 @@ impl FitSettings {
             (
                 "irradiance_samples",
                 self.irradiance_samples as f32,
-                self.irradiance_samples == 0 || (LEAST_RAYS..=MOST_RAYS).contains(&self.irradiance_samples),
+                self.irradiance_samples == 0 || (LEAST_RAYS..=MOST_SAMPLES).contains(&self.irradiance_samples),
                 "0, or 4 to 1048576",
             ),
             (
                 "specular_samples",
                 self.specular_samples as f32,
-                (1..=MOST_RAYS).contains(&self.specular_samples),
+                (1..=MOST_SAMPLES).contains(&self.specular_samples),
                 "1 to 1048576",
             ),
             ("footprint_samples", self.footprint_samples as f32, (1..=8).contains(&self.footprint_samples), "1 to 8"),

@@ -10,8 +10,9 @@ use gltf::material::AlphaMode;
 use gltf::mesh::Mode;
 use gltf::scene::Transform;
 use gltf::{Accessor, Buffer, Document, Gltf, Node, Primitive, Semantic};
+use gltf_json::Root;
 use gltf_json::extensions::ENABLED_EXTENSIONS;
-use gltf_json::validation::Checked;
+use gltf_json::validation::{self, Checked, Validate};
 
 use super::RawMesh;
 use crate::error::{Error, Result};
@@ -54,11 +55,21 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     root.extensions_required.retain(|name| ENABLED_EXTENSIONS.contains(&name.as_str()));
     let used: Vec<_> = root.extensions_used.iter().filter(|name| without(name) != WITHOUT).cloned().collect();
     let used = unread(&used);
-    let document = Document::from_json(root).map_err(|e| match &used[..] {
+    validate(&root).map_err(|e| match &used[..] {
         [] => Error::cannot_read(path, e),
         used => Error::file(path, format!("{e}; it uses what texir does not read: {}", used.join(", "))),
     })?;
-    Ok(Gltf { document, blob })
+    Ok(Gltf { document: Document::from_json_without_validation(root), blob })
+}
+
+/// Errors on what the reader cannot take. Accessors without values are sound by the specification: exporters write them for morph targets
+/// that move nothing.
+fn validate(root: &Root) -> std::result::Result<(), gltf::Error> {
+    let mut found = Vec::new();
+    root.validate(root, gltf_json::Path::new, &mut |place, what| found.push((place(), what)));
+    let without_values = |place: &str| place.starts_with("accessors[") && place.ends_with("].bufferView");
+    found.retain(|(place, what)| !(*what == validation::Error::Missing && without_values(place.as_str())));
+    if found.is_empty() { Ok(()) } else { Err(gltf::Error::Validation(found)) }
 }
 
 /// An error where the file says that it cannot be read without what texir does not know.

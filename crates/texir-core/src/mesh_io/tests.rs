@@ -361,6 +361,32 @@ fn what_gltf_says_in_vain_is_warned_about() {
 }
 
 #[test]
+fn gltf_values_that_are_all_zero_need_not_stand_in_the_file() {
+    let zeros = |document: &mut serde_json::Value| {
+        let accessors = document["accessors"].as_array_mut().unwrap();
+        let zero = [0.0; 3];
+        accessors
+            .push(serde_json::json!({"componentType": 5126, "count": 4, "type": "VEC3", "min": zero, "max": zero}));
+    };
+    let read = read_gltf(false, |document| {
+        zeros(document);
+        document["meshes"][0]["primitives"][0]["targets"] = serde_json::json!([{"POSITION": 5}]);
+    });
+    let (MeshFile { mesh, warnings }, plain) = (read.unwrap(), read_gltf(false, |_| {}).unwrap().mesh);
+    assert_eq!(mesh.positions, plain.positions);
+    assert!(warnings.iter().any(|told| told.contains("morph targets")), "{warnings:?}");
+    // A surface has none of it.
+    let error = message(read_gltf(false, |document| {
+        zeros(document);
+        document["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 5.into();
+    }));
+    assert!(error.contains("POSITION has no bufferView"), "{error}");
+    // Other values are as necessary as ever.
+    let error = message(read_gltf(false, |document| document["accessors"][1]["bufferView"] = 7.into()));
+    assert!(error.contains("a.gltf") && error.contains("accessors[1].bufferView"), "{error}");
+}
+
+#[test]
 fn damaged_gltf_is_an_error_that_says_where() {
     let spoil = |pointer: &'static str, value: serde_json::Value| {
         message(read_gltf(false, |document| *document.pointer_mut(pointer).unwrap() = value))

@@ -7,6 +7,7 @@ use texir_core::denoise::{
 };
 use texir_core::error::Result;
 use texir_core::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
+use texir_core::progress::Progress;
 
 use super::WORKGROUP;
 use crate::batch::{BATCH_BYTES, Context};
@@ -57,11 +58,11 @@ pub(crate) struct Estimate {
 }
 
 /// See [`texir_core::backend::Backend::denoise`].
-pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> {
+pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let count = noisy.points.len();
     let neighbours = Neighbours::<FAR>::new(noisy.points, CELL * noisy.texel);
     if count == 0 || neighbours.most() > MOST_LOOKED_AT {
-        return Ok(cpu::denoise::denoise(noisy));
+        return cpu::denoise::denoise(noisy, progress);
     }
     let Neighbours { entries, spans, .. } = &neighbours;
     let estimate = |entry: &Entry| {
@@ -85,6 +86,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>) -> Result<Vec<[f32; 3]>> 
         let cost = cost * (neighbours.most() / USUAL).max(1);
         let mut first = 0;
         while first < count {
+            progress.check()?;
             let end = count.min(first + ctx.items(&kernel, cost).min(MOST_POINTS));
             // Points are in the order of their cells.
             let [first_cell, last_cell] = [first, end - 1].map(|i| entries[i].cell);

@@ -5,9 +5,12 @@ use glam::Vec3A;
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
+use super::PIECE;
 use crate::cpu::lanes::{LANES, Lanes};
 use crate::denoise::{Noisy, RADIUS};
+use crate::error::Result;
 use crate::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
+use crate::progress::Progress;
 use crate::real::Real;
 
 /// What is found at a point by what is `TOLD` of the points within [`RADIUS`]. Its methods at a point have to be inlined, for the
@@ -31,12 +34,13 @@ pub trait Pass<R: Real, const TOLD: usize>: Sync {
 /// Points that a thread takes one after another, at least: those of many cells.
 const CELLS: usize = 1024;
 
-/// What a pass finds at every one of what is `noisy`, apart from its halves.
+/// What a pass finds at every one of what is `noisy`, apart from its halves. Errors when `progress` says to stop.
 pub fn each<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
     pass: &P,
     neighbours: &Neighbours<FAR>,
     Noisy { points, apart, texel, .. }: Noisy<'_>,
-) -> Vec<P::Found> {
+    progress: &dyn Progress,
+) -> Result<Vec<P::Found>> {
     let radius = RADIUS * texel;
     let widest = Arch::new();
     let at_point = |around: &mut Around<R, TOLD>, own: &Entry| {
@@ -50,9 +54,12 @@ pub fn each<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
         widest.dispatch(AtPoint { pass, own, is_apart: apart[own.index as usize], around, radius })
     };
     // In the order of the cells, so that most points find theirs laid out.
-    let by_entry: Vec<P::Found> =
-        neighbours.entries.par_iter().with_min_len(CELLS).map_init(Around::new, at_point).collect();
-    neighbours.by_point(&by_entry)
+    let mut by_entry: Vec<P::Found> = Vec::with_capacity(points.len());
+    for entries in neighbours.entries.chunks(PIECE) {
+        progress.check()?;
+        by_entry.par_extend(entries.par_iter().with_min_len(CELLS).map_init(Around::new, at_point));
+    }
+    Ok(neighbours.by_point(&by_entry))
 }
 
 /// Whether a point may be within `radius` metres of one of a cell's `own`: it is of the box around them.

@@ -29,6 +29,11 @@ const THIN: f32 = 0.06;
 /// Cosine of the angle up to which the two sides of something thin are parallel.
 const PARALLEL: f32 = 0.7;
 
+/// Reflectance of what nothing is known of: photographers' grey card.
+const MIDDLE_GREY: f32 = 0.18;
+/// Of a segment, the share of light sources above which they are a thing of their own.
+const MUCH: f64 = 0.1;
+
 /// Bounds of what diffuse albedo surfaces have in a channel: soot reflects 3 %, fresh snow 95 %.
 const DARKEST: f32 = 0.005;
 const BRIGHTEST: f32 = 0.97;
@@ -111,6 +116,19 @@ pub fn outliers(albedo: &[Vec3A], segment: (&[u32], usize)) -> Vec<bool> {
     }
     let few = |s: u32| f64::from(counts[s as usize][1]) < FEW * f64::from(counts[s as usize][0]);
     albedo.iter().zip(segment.0).map(|(a, &s)| outlier(a) && few(s)).collect()
+}
+
+/// Gives light sources that make up much of their segment middle grey: what their light hides nobody knows, and what is around them (a
+/// window's frame, whatever has the lamp's class elsewhere) is not made of it. Fewer are spots of the surface that they are on.
+/// `segment` has a number per texel, and their count.
+pub fn grey_sources(segment: (&[u32], usize), is_source: impl Fn(usize) -> bool, albedo: &mut [Vec3A]) {
+    let mut counts = vec![[0u32; 2]; segment.1];
+    for (t, &s) in segment.0.iter().enumerate() {
+        counts[s as usize][usize::from(is_source(t))] += 1;
+    }
+    let much = |[others, sources]: [u32; 2]| f64::from(sources) > MUCH * f64::from(others + sources);
+    let grey = |t: usize| is_source(t) && much(counts[segment.0[t] as usize]);
+    albedo.iter_mut().enumerate().filter(|(t, _)| grey(*t)).for_each(|(_, a)| *a = Vec3A::splat(MIDDLE_GREY));
 }
 
 /// Albedo and roughness of hidden texels: those near in their segment.
@@ -241,6 +259,17 @@ mod tests {
         let found: Vec<usize> =
             outliers(&albedo, (&segment, 2)).iter().enumerate().filter(|(_, o)| **o).map(|(t, _)| t).collect();
         assert_eq!(found, [3, 70]);
+    }
+
+    #[test]
+    fn sources_are_grey_where_they_are_a_thing_of_their_own() {
+        let segment: Vec<u32> = (0..200).map(|t| t / 100).collect();
+        let wall = Vec3A::new(0.6, 0.5, 0.4);
+        let mut albedo = vec![wall; 200];
+        // Half of a window, and a spot on a ceiling.
+        grey_sources((&segment, 2), |t| t < 50 || (150..155).contains(&t), &mut albedo);
+        let expected = |t: usize| if t < 50 { Vec3A::splat(0.18) } else { wall };
+        albedo.iter().enumerate().for_each(|(t, a)| assert_eq!(*a, expected(t), "texel {t}"));
     }
 
     #[test]

@@ -179,6 +179,10 @@ fn recover(
     let known = |t: usize| seen.is_seen[t] && !outlier[t];
     let model = segments.of_texels(&segments.models(known));
     hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
+    // Sources are told with a rim, which may be paint; what sends more than paint could is none.
+    let apparent = apparent_albedo(ground, irradiance);
+    let shines = |t: usize| ground.emitters.data[atlas.texels[t] as usize] && apparent[t].max_element() >= 1.0;
+    hidden::grey_sources(segment, shines, &mut painted);
     let roughness = joints.on(&roughness);
 
     // What metal shows does not depend on irradiance.
