@@ -8,7 +8,7 @@ use texir_core::capture::{self, Capture, Corrections, LoadOptions};
 use texir_core::eval::{Evaluated, Evaluation, evaluate};
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::read_mesh;
-use texir_core::outputs::{CORRECTIONS, FitOutput, MESH, METRICS, RUN, Run};
+use texir_core::outputs::{CORRECTIONS, FitOutput, MESH, METRICS, REPORT, RUN, Run};
 use texir_core::progress::Progress;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
@@ -51,6 +51,12 @@ impl Eval {
         let evaluation = of_output(&output, &capture, self.spp, session, &mut |_| ())?;
         if self.mesh.is_none() {
             write_metrics(&self.out, &evaluation)?;
+            let report = self.out.join(REPORT);
+            if report.is_file() {
+                session
+                    .console
+                    .note(&format!("{}: shows an earlier evaluation; `texir report` makes it anew", report.display()));
+            }
         }
         session.print(&evaluation, || figures::text(&evaluation))
     }
