@@ -147,7 +147,7 @@ impl Solver<'_> {
 /// Finds lights in a map of radiance.
 pub(super) fn finder<'a>(backend: &'a dyn Backend, texels: &Texels<'_>, tbl: &'a Rgb) -> Result<Finder<'a>> {
     let mut finder = Finder::new(backend.scene(), tbl, texels.valid());
-    texels.points().try_for_each(|points| points.map(|points| finder.take(&points)))?;
+    texels.points().try_for_each(|points| points.and_then(|points| finder.take(&points)))?;
     Ok(finder)
 }
 

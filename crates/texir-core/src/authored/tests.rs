@@ -9,7 +9,7 @@ use gltf::binary::Glb;
 use serde_json::{Value, json};
 
 use super::{Bounces, Reflected, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
-use crate::backend::Gather;
+use crate::backend::{Backend, Gather};
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
 use crate::checkpoint::Checkpoints;
@@ -655,9 +655,15 @@ fn surfaces_that_no_scene_has_are_refused() {
         assert!(error.contains(part), "{part:?} is not in: {error}");
     }
     let quality = Quality::denoised(Gather::new(4, 4, 0));
-    let bounces = Bounces { quality, tolerance: f32::NAN, most: 1 };
-    let error = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap_err();
-    assert!(error.to_string().contains("tolerance of bounces is NaN"), "{error}");
+    let error = |backend: &mut CpuBackend, tolerance: f32| {
+        let bounces = Bounces { quality, tolerance, most: 1 };
+        irradiance(backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap_err().to_string()
+    };
+    assert!(error(&mut backend, f32::NAN).contains("tolerance of bounces is NaN"));
+    let mut smaller = backend.scene().mesh.clone();
+    smaller.triangles.truncate(1);
+    let said = error(&mut CpuBackend::new(Scene::new(smaller).unwrap()), 0.1);
+    assert!(said.contains("of a mesh of 1; expected texels of the backend's mesh"), "{said}");
 }
 
 #[test]

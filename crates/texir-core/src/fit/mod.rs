@@ -165,7 +165,7 @@ pub fn fit(
     if let Some(radiance) = relit {
         tbl.radiance = radiance;
     }
-    let mut emission = emitted((&tbl.radiance, &emitters), &materials);
+    let mut emission = padded(&emitted((&tbl.radiance, &emitters), &materials), &atlas);
     let Materials { albedo, roughness, metallic, mut irradiance, diffuse, masking, confidence } = materials;
     if let Some(what) = told::too_bright(&albedo, &emitters, &tbl) {
         progress.warn(&format!("{}: {what}", capture.root.display()));
@@ -212,6 +212,12 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
 fn outside(mut baked: Baked, atlas: &Atlas) -> Rgb {
     baked.irradiance.iter_mut().zip(&baked.buried).filter(|(_, inside)| **inside).for_each(|(e, _)| *e = [0.0; 3]);
     baked.map(atlas, bake::Buried::Fill)
+}
+
+/// A map with what lies at the rims of charts continued beyond them.
+fn padded(map: &Rgb, atlas: &Atlas) -> Rgb {
+    let values: Vec<[f32; 3]> = atlas.texels.iter().map(|&texel| map.data[texel as usize]).collect();
+    atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], bake::PADDING)
 }
 
 /// What leaves light sources, `radiance` where `emitters` are, and 0 elsewhere; by texel.

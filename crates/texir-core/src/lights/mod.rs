@@ -84,14 +84,15 @@ impl Lights {
         Self { triangles: Vec::new(), clusters: vec![0], density, grid, tables: Vec::new() }
     }
 
-    /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size.
+    /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size, and is one of the
+    /// scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
         let [own, others] = [(atlas.width, atlas.height), (radiance.width, radiance.height)];
         if own != others || radiance.data.len() != radiance.width * radiance.height {
             return Err(Error::invalid(format!("the radiance has {others:?} texels; expected the atlas's {own:?}")));
         }
         let mut finder = Finder::new(scene, radiance, atlas.points.len());
-        finder.take(&atlas.points);
+        finder.take(&atlas.points)?;
         Ok(finder.find())
     }
 
@@ -228,16 +229,25 @@ impl<'a> Finder<'a> {
         Self { scene, radiance, sums, chosen: Vec::new(), every: texels.div_ceil(CHOSEN).max(1), taken: 0 }
     }
 
-    /// Takes note of the texels that come next.
-    pub fn take(&mut self, points: &[SurfacePoint]) {
+    /// Takes note of the texels that come next. Errors on those of another mesh or map.
+    pub fn take(&mut self, points: &[SurfacePoint]) -> Result<()> {
+        let triangles = self.sums.len();
         for point in points {
-            let (sum, count) = &mut self.sums[point.triangle as usize];
-            *sum += f64::from(luminance(&self.radiance.data[point.sequence as usize]));
+            let (sum, radiance) =
+                (self.sums.get_mut(point.triangle as usize), self.radiance.data.get(point.sequence as usize));
+            let ((sum, count), radiance) = sum.zip(radiance).ok_or_else(|| {
+                Error::invalid(format!(
+                    "a texel lies on triangle {} of a mesh of {triangles}; expected texels of the backend's mesh, and a map of their size",
+                    point.triangle
+                ))
+            })?;
+            *sum += f64::from(luminance(radiance));
             *count += 1;
         }
         let first = self.taken.next_multiple_of(self.every) - self.taken;
         self.chosen.extend(points.iter().skip(first).step_by(self.every));
         self.taken += points.len();
+        Ok(())
     }
 
     /// The lights of surfaces of which nothing is seen from behind: what is no light is black there as well. A sheet lets no light
