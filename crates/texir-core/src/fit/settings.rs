@@ -4,8 +4,7 @@ use bytesize::ByteSize;
 use serde::{Deserialize, Serialize};
 
 use crate::atlas::LARGEST_SIDE;
-use crate::backend::MOST_SAMPLES;
-use crate::backend::RoughnessGradient;
+use crate::backend::{MOST_SAMPLES, RoughnessGradient};
 use crate::brdf::Masking;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
