@@ -1,9 +1,10 @@
 // Denoising of irradiance by local regression, guided by two estimates of every point (the twin's module says how and
 // whence). Five passes: `smooth_halves`, `measure_noise`, `regress`, `clean`, `conserve`.
 //
-// In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the cells that
-// they are searched in. Per point, `regress` and `conserve` read some 550 others (32 bytes, and what those that are near enough
-// hold), of which about 310 enter the former's 6 × 6 systems, one for each half; the other passes read about 100.
+// In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the
+// cells that they are searched in. Per point, `regress` and `conserve` read some 550 others (32 bytes, and what those
+// that are near enough hold), of which about 310 enter the former's 6 × 6 systems, one for each half; the other passes
+// read about 100.
 
 #import math
 #import sampling
@@ -100,8 +101,8 @@ fn span_of(own: Entry, column: u32) -> vec2u {
     return spans[(own.cell - params.first_cell) * COLUMNS + column];
 }
 
-// Offset of point j in shares of a search radius (texels), and 1 less its square: how near it is; negative where it is too far, on
-// another surface, or apart from the own point.
+// Offset of point j in shares of a search radius (texels), and 1 less its square: how near it is; negative where it is
+// too far, on another surface, or apart from the own point.
 fn nearness(own: Entry, apart: u32, j: u32, radius_texels: f32) -> vec4f {
     let other = entries[j];
     let radius = radius_texels * params.texel;
@@ -208,8 +209,8 @@ fn is_plausible(value: vec3f) -> bool {
     return all(value >= vec3f(0.0)) && all(value <= vec3f(3.4e38));
 }
 
-// The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where extrapolation makes
-// it negative; what the point has itself where neither is a number.
+// The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where
+// extrapolation makes it negative; what the point has itself where neither is a number.
 fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
     let m = fit.moments;
     let weight = m[0].x;
@@ -232,7 +233,8 @@ fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
         vec3f(fit.last[0].y, fit.last[1].y, fit.last[2].y),
     );
     let mean = b[0] / weight;
-    // Gaussian elimination from the last unknown to the first, of which alone the solution is wanted: A stays symmetric.
+    // Gaussian elimination from the last unknown to the first, of which alone the solution is wanted: A stays
+    // symmetric.
     var solvable = true;
     for (var k = 5; k > 0; k--) {
         let pivot = a[k][k];

@@ -1,10 +1,10 @@
-// Smoothness over groups of pixels: the mean over all grouped pixels of |value − target_group|, and its gradient (method
-// section 3). The target is the group's mean, through which the gradient flows, or a quantile of its reference members,
-// held fixed.
+// Smoothness over groups of pixels: the mean over all grouped pixels of |value − target_group|, and its gradient
+// (method section 3). The target is the group's mean, through which the gradient flows, or a quantile of its reference
+// members, held fixed.
 //
 // A workgroup owns one group and channel; its 256 threads stride over the members. Sums are added in a fixed tree, a
-// barrier per level; the quantile is selected byte by byte from counts in integer atomics, which do not depend on order.
-// Reads 8 bytes per member and pass (3 passes for the mean, 7 for the quantile), writes 4 per drawn member.
+// barrier per level; the quantile is selected byte by byte from counts in integer atomics, which do not depend on
+// order. Reads 8 bytes per member and pass (3 passes for the mean, 7 for the quantile), writes 4 per drawn member.
 
 #import math
 
@@ -73,8 +73,8 @@ fn sum_over_threads(thread: u32, value: vec2f) -> vec2f {
     return total;
 }
 
-// Writes the loss and the gradient of the members [first, end), drawn to `aim`; `through_aim` (0 or 1) lets the gradient
-// flow through the mean: sign_i − mean sign, times the share.
+// Writes the loss and the gradient of the members [first, end), drawn to `aim`; `through_aim` (0 or 1) lets the
+// gradient flow through the mean: sign_i − mean sign, times the share.
 fn draw(job: Job, thread: u32, first: u32, aim: f32, through_aim: f32) {
     let count = f32(max(job.end - first, 1u));
     var local = vec2f(0.0);

@@ -1,12 +1,13 @@
-// Irradiance gather E = ∫ L cosθ dω (full: cosine and π included) from n_c cosine-distributed directions, n_l points on the
-// lights and n_s directions to the bright sky, combined by the balance heuristic: E = Σ L cosθ / (n_c cosθ/π + n_l p_l +
-// n_s p_s), with p the density per solid angle: p_l on lights, p_s along rays that leave the scene, 0 elsewhere (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995).
+// Irradiance gather E = ∫ L cosθ dω (full: cosine and π included) from n_c cosine-distributed directions, n_l points on
+// the lights and n_s directions to the bright sky, combined by the balance heuristic: E = Σ L cosθ / (n_c cosθ/π + n_l
+// p_l + n_s p_s), with p the density per solid angle: p_l on lights, p_s along rays that leave the scene, 0 elsewhere
+// (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", SIGGRAPH 1995).
 //
 // One entry point per technique, so that neither pays for the other's directions. LANES threads share a point, each
-// tracing every LANES-th of a dispatch's samples; the host bounds a thread's rays, because a CPU driver
-// silently ends an invocation after 65,535 loop iterations. The lanes' sums are added in workgroup memory in a fixed tree
-// (a barrier per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine
-// one starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
+// tracing every LANES-th of a dispatch's samples; the host bounds a thread's rays, because a CPU driver silently ends
+// an invocation after 65,535 loop iterations. The lanes' sums are added in workgroup memory in a fixed tree (a barrier
+// per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine one
+// starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
 
 #import scene
 #import hit
@@ -50,7 +51,8 @@ struct Gathered {
 @group(1) @binding(0) var<uniform> params: IrradianceParams;
 @group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
 @group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
-// The samples of this dispatch, those of similar directions one after another: lanes that run in step read the same nodes.
+// The samples of this dispatch, those of similar directions one after another: lanes that run in step read the same
+// nodes.
 @group(1) @binding(3) var<storage, read> sample_order: array<u32>;
 
 // L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s) of a sample in `direction` that met `hit`, and 1 where it met a back. What

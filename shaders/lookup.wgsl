@@ -1,8 +1,8 @@
-// Mip-mapped texture lookup y = M x with a stored sparse M, and its transpose x̄ = Mᵀ ȳ: the same gather, over rows forward
-// and over columns backward, so that gradients are sums in a fixed order.
+// Mip-mapped texture lookup y = M x with a stored sparse M, and its transpose x̄ = Mᵀ ȳ: the same gather, over rows
+// forward and over columns backward, so that gradients are sums in a fixed order.
 //
-// One thread per row and channel; no barriers. Reads 8 bytes per tap and 4 per gathered number. Rows longer than MAX_TAPS
-// take several dispatches, as a CPU driver silently ends an invocation after 65,535 loop iterations.
+// One thread per row and channel; no barriers. Reads 8 bytes per tap and 4 per gathered number. Rows longer than
+// MAX_TAPS take several dispatches, as a CPU driver silently ends an invocation after 65,535 loop iterations.
 
 #import math
 

@@ -1,8 +1,8 @@
 // One level of the pyramid: coarse texels from fine ones, and the transpose. A coarse texel is the mean of its valid
 // children, weighted by how much of each is valid, so that the space between charts does not bleed in.
 //
-// One thread per coarse texel and channel; it owns that texel and its up to four children, which have no other parent: no
-// barriers, no atomics. Moves 20 bytes per thread and four coverages.
+// One thread per coarse texel and channel; it owns that texel and its up to four children, which have no other parent:
+// no barriers, no atomics. Moves 20 bytes per thread and four coverages.
 
 #import math
 

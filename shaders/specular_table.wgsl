@@ -3,9 +3,9 @@
 //
 // LANES threads share a pixel. In each round they trace a sample each and leave what the nodes need of it in workgroup
 // memory; then each adds all of the pixel's samples of the round to the nodes that are its own, in the order of their
-// index. So a thread keeps NODES / LANES sums, not NODES, and no sum depends on scheduling. Dispatches add up in `tables`,
-// which the host clears; it also bounds a thread's rays, as in irradiance.wgsl. Reads 640 and writes 384 bytes per pixel
-// and dispatch.
+// index. So a thread keeps NODES / LANES sums, not NODES, and no sum depends on scheduling. Dispatches add up in
+// `tables`, which the host clears; it also bounds a thread's rays, as in irradiance.wgsl. Reads 640 and writes 384
+// bytes per pixel and dispatch.
 
 #import scene
 #import light_sampling

@@ -1,10 +1,10 @@
-// Texel map: which surface point each atlas texel is. The lowest-numbered triangle that contains the texel's centre; else
-// the nearest point of the nearest triangle that comes within `reach` of it (the lower number where equally near).
+// Texel map: which surface point each atlas texel is. The lowest-numbered triangle that contains the texel's centre;
+// else the nearest point of the nearest triangle that comes within `reach` of it (the lower number where equally near).
 //
-// A workgroup is a tile of the atlas, a thread one of its texels, which looks through the triangles that the host binned
-// into the tile, at most `candidates` of them in one dispatch (the loop limit of CPU drivers); the state between
-// dispatches is the hit itself, with the squared distance in t. No barriers. Reads 28 bytes per candidate, writes 16 per
-// texel.
+// A workgroup is a tile of the atlas, a thread one of its texels, which looks through the triangles that the host
+// binned into the tile, at most `candidates` of them in one dispatch (the loop limit of CPU drivers); the state between
+// dispatches is the hit itself, with the squared distance in t. No barriers. Reads 28 bytes per candidate, writes 16
+// per texel.
 
 #import hit
 

@@ -14,8 +14,8 @@ struct Cosines {
     vh: f32,
 }
 
-// D = α² / (π (α² + sin²θ_h (1−α²))²): GGX distribution of half-vectors, per solid angle. By the sine, as a cosine cannot
-// resolve the peak of a smooth lobe.
+// D = α² / (π (α² + sin²θ_h (1−α²))²): GGX distribution of half-vectors, per solid angle. By the sine, as a cosine
+// cannot resolve the peak of a smooth lobe.
 fn distribution_at(sin2: f32, r: f32) -> f32 {
     let a2 = r * r * r * r;
     let d = a2 + sin2 * (1.0 - a2);

@@ -2,8 +2,8 @@
 // Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017; obvhs interleaves minima and maxima).
 //
 // While-while: nodes until some yield triangles, then those triangles, because a CPU driver runs both sides of every
-// `if` in a loop. A node is 5 words (80 bytes), a triangle 4 (64 bytes, a cache line): (corner a, the triangle's index in
-// the mesh), (b − a, u of c), (c − a, v of c), (u and v of a, u and v of b).
+// `if` in a loop. A node is 5 words (80 bytes), a triangle 4 (64 bytes, a cache line): (corner a, the triangle's index
+// in the mesh), (b − a, u of c), (c − a, v of c), (u and v of a, u and v of b).
 
 #import fetch
 

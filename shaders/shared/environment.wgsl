@@ -23,10 +23,12 @@ struct BrightPixel {
 @group(0) @binding(11) var<storage, read> bright_rows: array<BrightRow>;
 @group(0) @binding(12) var<storage, read> bright_pixels: array<BrightPixel>;
 
-// What arrives from far away along the unit direction: the nearest pixel at u = ½ + atan2(z, x)/2π, v = acos(y)/π.
+// What arrives from far away along the unit direction: the nearest pixel at u = ½ + atan2(z, x)/2π, v = acos(y)/π,
+// without its loss of digits at the poles.
 fn environment_towards(direction: vec3f) -> vec4f {
     let size = textureDimensions(environment);
-    let uv = vec2f(0.5 + atan2(direction.z, direction.x) * (0.5 * INV_PI), acos(clamp(direction.y, -1.0, 1.0)) * INV_PI);
+    let polar = atan2(length(direction.xz), direction.y);
+    let uv = vec2f(0.5 + atan2(direction.z, direction.x) * (0.5 * INV_PI), polar * INV_PI);
     return textureLoad(environment, min(vec2u(max(uv, vec2f(0.0)) * vec2f(size)), size - 1u), 0);
 }
 

@@ -1,5 +1,5 @@
-// Where the hierarchy lies on CPU adapters: rgba32float textures, which their drivers fetch faster than storage buffers.
-// Storage textures, because llvmpipe looks up a mip level, lane by lane, at each fetch from a sampled one.
+// Where the hierarchy lies on CPU adapters: rgba32float textures, which their drivers fetch faster than storage
+// buffers. Storage textures, because llvmpipe looks up a mip level, lane by lane, at each fetch from a sampled one.
 // Word i is at column i mod 8192, row i / 8192 (the host's TEXTURE_COLUMNS).
 
 @group(0) @binding(0) var bvh_nodes: texture_storage_2d<rgba32float, read>;

@@ -1,4 +1,5 @@
-// Directions to the lights of the TBL, and the density with which they are drawn; twin of texir-core's light_sampling.rs.
+// Directions to the lights of the TBL, and the density with which they are drawn; twin of texir-core's
+// light_sampling.rs.
 
 #import bvh
 #import math
@@ -39,7 +40,8 @@ struct LightGrid {
 @group(0) @binding(9) var<storage, read> light_cells: array<u32>;
 @group(0) @binding(10) var<uniform> light_grid: LightGrid;
 
-// A point on a light, and the triangle of the mesh it lies on: rays may meet that in any of its leaves, as another primitive.
+// A point on a light, and the triangle of the mesh it lies on: rays may meet that in any of its leaves, as another
+// primitive.
 struct LightPoint {
     position: vec3f,
     triangle: u32,
@@ -60,8 +62,8 @@ fn light_table(position: vec3f, normal: vec3f) -> u32 {
     return light_cells[index] * light_grid.clusters;
 }
 
-// The first number of u chooses a cluster by the table, what is left of it a triangle of the cluster, and what is left of
-// that is a coordinate on the triangle (square-root map).
+// The first number of u chooses a cluster by the table, what is left of it a triangle of the cluster, and what is left
+// of that is a coordinate on the triangle (square-root map).
 fn light_point(table: u32, u: vec2f) -> LightPoint {
     var low = 0u;
     var high = light_grid.clusters - 1u;
@@ -95,8 +97,8 @@ fn light_point(table: u32, u: vec2f) -> LightPoint {
     return LightPoint(v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y), mesh_triangle(primitive));
 }
 
-// Density, per solid angle, with which light samples of a table draw a point of `primitive`, `t` metres away and seen under
-// the cosine θ' with its normal: density per area · t² / |cosθ'|. 0 where there are no lights.
+// Density, per solid angle, with which light samples of a table draw a point of `primitive`, `t` metres away and seen
+// under the cosine θ' with its normal: density per area · t² / |cosθ'|. 0 where there are no lights.
 fn light_pdf(table: u32, primitive: u32, t: f32, cosine: f32) -> f32 {
     let on = light_density[primitive];
     let at = table + on.cluster;

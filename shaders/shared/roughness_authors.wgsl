@@ -1,5 +1,5 @@
-// The TexIR authors' derivative with respect to roughness: the sampled half-vector tilts with r, and every cosine with it,
-// but the radiance that was looked up stays. Biased; reproduced for comparison (method section 4).
+// The TexIR authors' derivative with respect to roughness: the sampled half-vector tilts with r, and every cosine with
+// it, but the radiance that was looked up stays. Biased; reproduced for comparison (method section 4).
 
 #import lobe
 

@@ -9,8 +9,8 @@ use std::sync::OnceLock;
 
 use texir_gpu::Gpu;
 
-/// The device to test on: `TEXIR_ADAPTER` names it, otherwise the best. Logs which. Having none is a failure. All tests of a
-/// program share it: NVIDIA's driver can hang where one of several devices is destroyed while others work.
+/// The device to test on: `TEXIR_ADAPTER` names it, otherwise the best. Logs which. Having none is a failure. All tests
+/// of a program share it: NVIDIA's driver can hang where one of several devices is destroyed while others work.
 pub fn gpu() -> Gpu {
     static SHARED: OnceLock<Gpu> = OnceLock::new();
     let open = || {

@@ -96,8 +96,8 @@ pub fn furnished_room() -> Mesh {
     furnishings().finish()
 }
 
-/// [`furnished_room`] with flat normals, a lamp like a slanting strip below its ceiling, and a radiance atlas in which that alone is bright.
-/// Its triangles' boxes are nearly empty, so that hierarchies keep them in several leaves each.
+/// [`furnished_room`] with flat normals, a lamp like a slanting strip below its ceiling, and a radiance atlas in which
+/// that alone is bright. Its triangles' boxes are nearly empty, so that hierarchies keep them in several leaves each.
 pub fn room_with_strip(size: usize) -> (Mesh, Rgb) {
     let mut b = furnishings();
     let (column, row) = (b.charts % CHARTS, b.charts / CHARTS);
@@ -123,8 +123,8 @@ fn furnishings() -> Builder {
     b
 }
 
-/// Radiance that varies smoothly within each chart and by a factor of up to 8 between charts, so that sums are sensitive
-/// to what is hit, and not to the last digit of where.
+/// Radiance that varies smoothly within each chart and by a factor of up to 8 between charts, so that sums are
+/// sensitive to what is hit, and not to the last digit of where.
 pub fn smooth_light(size: usize) -> Rgb {
     let mut light = Rgb::filled(size, size, [0.0; 3]);
     for y in 0..size {

@@ -181,8 +181,8 @@ fn load_reflecting(document: &Document, size: usize, reflected: Reflected) -> Mo
     read_gltf(&path, size, reflected, &Silent).unwrap()
 }
 
-/// A path tracer in f64 without hierarchy, lightmap or bias: E(x) = D(x) + ρ(x₁) E(x₁), x₁ met by a cosine-distributed ray,
-/// D from a random point of the lamp.
+/// A path tracer in f64 without hierarchy, lightmap or bias: E(x) = D(x) + ρ(x₁) E(x₁), x₁ met by a cosine-distributed
+/// ray, D from a random point of the lamp.
 struct Twin<'a> {
     exact: Exhaustive<'a>,
     /// By triangle.
@@ -362,7 +362,8 @@ fn dielectrics_reflect_more_than_their_base_colour_where_that_is_asked_for() {
     near(reflects(0.0, None, Reflected::Diffusely), [0.5, 0.25, 0.97]);
     near(reflects(0.0, None, Reflected::InAll), [0.56, 0.31, 1.0]);
     near(reflects(1.0, None, Reflected::InAll), [0.5, 0.25, 0.97]);
-    // The texture's blue is how much of a metal it is, as it stands: three quarters are 191, and not what sRGB makes of it.
+    // The texture's blue is how much of a metal it is, as it stands: three quarters are 191, and not what sRGB makes of
+    // it.
     let mixed = 0.06 * (1.0 - 191.0 / 255.0);
     near(reflects(1.0, Some([255, 255, 191]), Reflected::InAll), [0.5 + mixed, 0.25 + mixed, 0.97 + mixed]);
 }

@@ -340,6 +340,12 @@ fn misused(backend: &mut dyn Backend) {
     let short = Rgb { data: vec![[1.0; 3]; 63], ..scenes::smooth_light(8) };
     let short = backend.set_tbl(&short, &Lights::none(&scene.mesh)).unwrap_err().to_string();
     assert!(short.contains("63 values where 64 are expected"), "{short}");
+    for impossible in [f32::NAN, -1.0, f32::INFINITY, 1e20] {
+        let mut light = scenes::smooth_light(8);
+        light.data[19][1] = impossible;
+        let refused = backend.set_tbl(&light, &Lights::none(&scene.mesh)).unwrap_err().to_string();
+        assert!(refused.contains("column 3, row 2"), "{refused}");
+    }
     let (pixels, materials) = shading(&points);
     let (sampling, exact) = (Sampling { samples: 1, seed: 0 }, RoughnessGradient::Exact);
     let few = backend.shade(&pixels, &materials[1..], sampling, exact, &Silent).unwrap_err().to_string();

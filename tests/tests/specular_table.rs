@@ -69,8 +69,8 @@ fn from_above(nv: f32) -> Vec3 {
     Vec3::new(-(1.0 - nv * nv).sqrt(), 0.0, nv)
 }
 
-/// ∫ f_s nl dω at normal-incidence reflectance `f0` by the midpoint rule around the mirrored view, whose polar angle is πs⁴: rings crowd where
-/// the lobe is sharp. Written out from the BRDF's definition, apart from the library.
+/// ∫ f_s nl dω at normal-incidence reflectance `f0` by the midpoint rule around the mirrored view, whose polar angle is
+/// πs⁴: rings crowd where the lobe is sharp. Written out from the BRDF's definition, apart from the library.
 fn albedo(masking: Masking, nv: f64, r: f64, f0: f64) -> f64 {
     const RINGS: usize = 1500;
     const SECTORS: usize = 256;

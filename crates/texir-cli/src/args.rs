@@ -86,7 +86,9 @@ pub struct Config {
 impl Config {
     /// The file's settings, where one is given, under the typed ones.
     pub fn resolve(common: &Common) -> Result<Self, Failure> {
-        let mut table = common.config.as_deref().map(read).transpose()?.unwrap_or_default();
+        // All settings are in it, so that one of several that belong together may be changed alone.
+        let mut table = Table::try_from(Self::default()).unwrap_or_default();
+        merge(&mut table, common.config.as_deref().map(read).transpose()?.unwrap_or_default());
         for assignment in &common.set {
             let change: Table = assignment.parse().map_err(|_| {
                 Failure::new(format!("--set {assignment}: expected KEY=VALUE, the value as TOML has it"))
@@ -149,8 +151,10 @@ fn merge(table: &mut Table, change: Table) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::CommandFactory;
+    use texir_core::fit::settings::OwnSettings;
+
+    use super::*;
 
     fn common(arguments: &[&str]) -> Common {
         let line = ["texir"].iter().chain(arguments).chain(&["inspect", "capture"]);
@@ -181,6 +185,10 @@ mod tests {
         let config = Config::resolve(&common(&["--config", path, "--set", "fit.stage_two.enabled=false"])).unwrap();
         assert_eq!((config.fit.stage_two.enabled, config.fit.stage_two.quantile), (false, 0.3));
         assert!(Config::resolve(&common(&["--set", "fit.stage_two"])).is_err());
+        // One of several that have no defaults of their own.
+        let config = Config::resolve(&common(&["--set", "fit.full.roughness.colours.pull=0.25"])).unwrap();
+        let usual = FitSettings::default().full.roughness.colours;
+        assert_eq!(config.fit.full.roughness.colours, OwnSettings { pull: 0.25, ..usual });
         let error = format!("{:?}", Config::resolve(&common(&["--set", "fit.mode=paper"])).unwrap_err());
         assert!(
             error.contains("--set fit.mode=paper: expected KEY=VALUE") && error.contains("text needs quotes"),

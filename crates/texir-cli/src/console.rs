@@ -1,5 +1,5 @@
-//! What the user sees while work goes on: progress bars on a terminal, a line every few seconds elsewhere, warnings, and
-//! Ctrl-C as a request to stop.
+//! What the user sees while work goes on: progress bars on a terminal, a line every few seconds elsewhere, warnings,
+//! and Ctrl-C as a request to stop.
 
 use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};

@@ -11,8 +11,9 @@ use crate::raster::Raster;
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Pyramid, Tap};
 
-/// How far a texel that its triangle only touches moves from the triangle's edge towards its middle: on the edge itself,
-/// where rounding decides on which side of the neighbouring surface a ray starts, half of its rays would leave the room.
+/// How far a texel that its triangle only touches moves from the triangle's edge towards its middle: on the edge
+/// itself, where rounding decides on which side of the neighbouring surface a ray starts, half of its rays would leave
+/// the room.
 const OFF_EDGE: f32 = 1e-3;
 
 /// Largest side of an atlas, texels: beyond it, no graphics card holds the texture, and readers of images refuse it.
@@ -37,8 +38,9 @@ pub struct Atlas {
 }
 
 impl Atlas {
-    /// Maps every texel to the backend's mesh. Errors when no texel is covered, or a side is longer than [`LARGEST_SIDE`]. Where charts
-    /// overlap or leave [0, 1], texels are another surface's or missing; `mesh_io::atlas_report` tells.
+    /// Maps every texel to the backend's mesh. Errors when no texel is covered, or a side is longer than
+    /// [`LARGEST_SIDE`]. Where charts overlap or leave [0, 1], texels are another surface's or missing;
+    /// `mesh_io::atlas_report` tells.
     pub fn new(backend: &mut dyn Backend, width: usize, height: usize) -> Result<Self> {
         let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };
         map(backend, [width, height], |_, points, inside| {
@@ -81,8 +83,9 @@ impl Atlas {
         raster
     }
 
-    /// [`Atlas::scatter`], then `rings` times the texels that are not `known`, those outside the charts among them, take the value of their
-    /// first neighbour that is or has taken one, so that lookups just outside find what is just inside.
+    /// [`Atlas::scatter`], then `rings` times the texels that are not `known`, those outside the charts among them,
+    /// take the value of their first neighbour that is or has taken one, so that lookups just outside find what is just
+    /// inside.
     pub fn scatter_padded<T: Copy>(&self, values: &[T], known: &[bool], empty: T, rings: usize) -> Raster<T> {
         let mut raster = self.scatter(values, empty);
         let mut filled = vec![false; self.width * self.height];
@@ -92,8 +95,8 @@ impl Atlas {
     }
 }
 
-/// Maps a band of an atlas's rows after another: hands on the rows, the points of their valid texels, in atlas order, and which
-/// of these have their centre in a triangle. Errors when no texel is covered.
+/// Maps a band of an atlas's rows after another: hands on the rows, the points of their valid texels, in atlas order,
+/// and which of these have their centre in a triangle. Errors when no texel is covered.
 pub(crate) fn map(
     backend: &mut dyn Backend,
     [width, height]: [usize; 2],
@@ -252,5 +255,42 @@ impl TexelIndex {
             let y = (base.y as i64 + dy).clamp(0, self.height as i64 - 1);
             self.at(x, y).filter(|_| weight > 0.0).map(|texel| Tap { texel, weight })
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::cpu::CpuBackend;
+    use crate::scene::Scene;
+
+    #[test]
+    fn texels_hold_what_is_at_their_centres() {
+        let square = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y];
+        let mesh = Mesh {
+            positions: square.map(|at| at.extend(0.0)).to_vec(),
+            normals: vec![Vec3::Z; 4],
+            uvs: square.to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        let atlas = Atlas::new(&mut CpuBackend::new(Scene::new(mesh).unwrap()), 4, 4).unwrap();
+        let index = TexelIndex::new(&atlas);
+        // Every texel holds its column, or its row.
+        let place = |tap: &Tap| [atlas.texels[tap.texel as usize] % 4, atlas.texels[tap.texel as usize] / 4];
+        for (uv, expected) in [
+            ([0.375, 0.875], [1.0, 3.0]),
+            ([0.5, 0.25], [1.5, 0.5]),
+            ([0.8125, 0.0], [2.75, 0.0]),
+            ([1.0, 1.0], [3.0, 3.0]),
+        ] {
+            let sum = |k: usize| index.bilinear(uv.into()).map(|tap| place(&tap)[k] as f32 * tap.weight).sum::<f32>();
+            let found = [0, 1].map(sum);
+            assert!(
+                (0..2).all(|k| (found[k] - expected[k]).abs() < 1e-6),
+                "{found:?} at {uv:?}; expected {expected:?}"
+            );
+        }
     }
 }

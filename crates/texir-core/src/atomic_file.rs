@@ -17,8 +17,8 @@ pub type Sink<'a> = BufWriter<&'a mut File>;
 const MOST_LINKS: usize = 40;
 
 /// Writes `path` through a temporary file in the same folder, which replaces `path` once `write` succeeded and every
-/// byte is on its way to the disk. On any failure `path` is as it was. Missing folders are made. A symbolic link stays one:
-/// what it names is written, whether that exists or not.
+/// byte is on its way to the disk. On any failure `path` is as it was. Missing folders are made. A symbolic link stays
+/// one: what it names is written, whether that exists or not.
 pub fn write_atomic<E: Display>(
     path: impl AsRef<Path>,
     write: impl FnOnce(&mut Sink) -> std::result::Result<(), E>,
@@ -42,8 +42,8 @@ pub fn write_atomic<E: Display>(
     Ok(())
 }
 
-/// A folder that fills unseen, and goes unless what is in it is moved to its target: within that where it exists, which may be another
-/// disk than its parent, else beside it.
+/// A folder that fills unseen, and goes unless what is in it is moved to its target: within that where it exists, which
+/// may be another disk than its parent, else beside it.
 #[derive(Debug)]
 pub struct Stage {
     folder: TempDir,
@@ -166,7 +166,8 @@ mod tests {
             assert!(at(link).is_symlink() && !at(named).is_symlink(), "{link}");
             assert_eq!(std::fs::read(at(named)).unwrap(), link.as_bytes());
         }
-        // Negative control: a failure leaves what is named as it was, and a link that is a file's neighbour is no matter.
+        // Negative control: a failure leaves what is named as it was, and a link that is a file's neighbour is no
+        // matter.
         write_atomic(at("to_old"), |_| Err("no more paper")).unwrap_err();
         assert_eq!(std::fs::read(at("disk/old.txt")).unwrap(), b"to_link");
         let mut left = names(&at("disk"));

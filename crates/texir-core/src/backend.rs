@@ -1,8 +1,9 @@
-//! The passes that bake and fit need. The algorithms of this crate call them through [`Backend`] and never see a device.
+//! The passes that bake and fit need. The algorithms of this crate call them through [`Backend`] and never see a
+//! device.
 //!
 //! Every pass is a pure function of its arguments and the scene the backend was made for; it takes and returns host
-//! slices, so that an algorithm reads as its equations. Two implementations: [`crate::cpu::CpuBackend`] and the WGSL one in
-//! `texir-gpu`.
+//! slices, so that an algorithm reads as its equations. Two implementations: [`crate::cpu::CpuBackend`] and the WGSL
+//! one in `texir-gpu`.
 
 pub mod check;
 
@@ -38,13 +39,16 @@ pub struct Sampling {
 /// Samples of a kind at a point at most: further ones are lost to single precision.
 pub const MOST_SAMPLES: u32 = 1 << 20;
 
+/// The strongest radiance that lighting may have: of more, squares leave single precision.
+pub const BRIGHTEST: f32 = 1e15;
+
 /// How many rays the irradiance gather sends, and where: at most [`MOST_SAMPLES`] of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Gather {
     /// Cosine-distributed rays per point, at least 1.
     pub cosine: u32,
-    /// Rays per point to the [`Lights`] and to the bright pixels of the environment, half of them to each where there are
-    /// both; 0 leaves them to the cosine samples.
+    /// Rays per point to the [`Lights`] and to the bright pixels of the environment, half of them to each where there
+    /// are both; 0 leaves them to the cosine samples.
     pub light: u32,
     /// Seed of the run.
     pub seed: u32,
@@ -55,17 +59,18 @@ pub struct Gather {
 /// Which stretch of which lattice sequence ([`lattice2`](crate::rng::lattice2)) a gather's points draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Sequences {
-    /// Every point has its own, shifted by `hash(seed, sequence)`, and draws its stretch `part`: 0 the first `cosine` and
-    /// `light` points, 1 as many after them, and so on. The mean of gathers 0 and 1 is the gather of twice as many rays.
+    /// Every point has its own, shifted by `hash(seed, sequence)`, and draws its stretch `part`: 0 the first `cosine`
+    /// and `light` points, 1 as many after them, and so on. The mean of gathers 0 and 1 is the gather of twice as many
+    /// rays.
     Own {
         /// Which stretch.
         part: u32,
     },
-    /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Those of a block of 32 × 32
-    /// share a sequence, and each draws a stretch of its own; along a Z curve through the block these continue each other.
-    /// One texel's error is as by sequences of its own, but neighbours' errors cancel, so that a denoiser finds less to
-    /// remove (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of
-    /// Pixels", SIGGRAPH Asia 2020).
+    /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Those of a
+    /// block of 32 × 32 share a sequence, and each draws a stretch of its own; along a Z curve through the block these
+    /// continue each other. One texel's error is as by sequences of its own, but neighbours' errors cancel, so that a
+    /// denoiser finds less to remove (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error
+    /// via Hierarchical Ordering of Pixels", SIGGRAPH Asia 2020).
     Shared {
         /// Texels in a row, at least 1.
         width: u32,
@@ -77,7 +82,8 @@ pub enum Sequences {
 }
 
 impl Sequences {
-    /// Of a run of some `seed`, the seed of the sequence that the point with this number draws from, and which stretch of it.
+    /// Of a run of some `seed`, the seed of the sequence that the point with this number draws from, and which stretch
+    /// of it.
     pub fn of(self, seed: u32, number: u32) -> (u32, u32) {
         match self {
             Self::Own { part } => (hash2(seed, number), part),
@@ -294,23 +300,26 @@ pub trait Backend {
     fn scene(&self) -> &Arc<Scene>;
 
     /// Sets the radiance texture that [`Backend::irradiance`] and [`Backend::shade`] gather (linear RGB, nearest texel;
-    /// rays that miss the mesh see the environment), and the lights in it that the gather samples.
+    /// rays that miss the mesh see the environment), and the lights in it that the gather samples. Errors on radiance
+    /// outside 0 to [`BRIGHTEST`], and on lights of another mesh.
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
 
-    /// Sets what [`Backend::irradiance`] and [`Backend::shade`] see along rays that miss the mesh; `None`, as at first, is
-    /// black.
+    /// Sets what [`Backend::irradiance`] and [`Backend::shade`] see along rays that miss the mesh; `None`, as at first,
+    /// is black.
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
     /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres.
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>>;
 
-    /// Texel map: which surface point each texel in some `rows` of an atlas of `[width, height]` texels is, row by row. A texel
-    /// whose centre lies in a triangle takes that point (the lowest triangle index where charts overlap); a texel that a
-    /// triangle only touches takes the nearest point of the nearest such triangle (conservative at chart borders).
+    /// Texel map: which surface point each texel in some `rows` of an atlas of `[width, height]` texels is, row by row.
+    /// A texel whose centre lies in a triangle takes that point (the lowest triangle index where charts overlap); a
+    /// texel that a triangle only touches takes the nearest point of the nearest such triangle (conservative at chart
+    /// borders).
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>>;
 
-    /// Irradiance gather at every point: cosine-distributed samples and samples of lights and bright sky, combined by the
-    /// balance heuristic; unbiased for any split. The backs of lights are black. Advances `progress` by the rays traced.
+    /// Irradiance gather at every point: cosine-distributed samples and samples of lights and bright sky, combined by
+    /// the balance heuristic; unbiased for any split. The backs of lights are black. Advances `progress` by the rays
+    /// traced.
     fn irradiance(&mut self, points: &[SurfacePoint], gather: Gather, progress: &dyn Progress)
     -> Result<Vec<Gathered>>;
 
@@ -323,18 +332,19 @@ pub trait Backend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>>;
 
-    /// Denoise: the mean of two gathers of irradiance at every point without most of its noise
-    /// ([`crate::denoise`]). What is further than some twenty-five texels from a point does not change a bit of its result,
-    /// unless so much lies around some point that a GPU leaves all to the processor, which rounds otherwise (65,000 points).
-    /// Of `progress` it asks whether to stop.
+    /// Denoise: the mean of two gathers of irradiance at every point without most of its noise ([`crate::denoise`]).
+    /// What is further than some twenty-five texels from a point does not change a bit of its result, unless so much
+    /// lies around some point that a GPU leaves all to the processor, which rounds otherwise (65,000 points). Of
+    /// `progress` it asks whether to stop.
     fn denoise(&mut self, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>>;
 
-    /// Shade: diffuse from irradiance + importance-sampled GGX over the TBL, with the Jacobian its adjoint needs. Lambert's diffuse model
-    /// and the paper's masking ([`crate::brdf::Masking::Schlick`]), with which paper mode fits; full mode chooses its own, and
-    /// [`crate::render::Renderer`] draws with what its textures name. Expects roughness in (0, 1].
+    /// Shade: diffuse from irradiance + importance-sampled GGX over the TBL, with the Jacobian its adjoint needs.
+    /// Lambert's diffuse model and the paper's masking ([`crate::brdf::Masking::Schlick`]), with which paper mode fits;
+    /// full mode chooses its own, and [`crate::render::Renderer`] draws with what its textures name. Expects roughness
+    /// in (0, 1].
     fn shade(
         &mut self,
         points: &[ShadePoint],
@@ -353,10 +363,10 @@ pub trait Backend {
         d_radiance: &[[f32; 3]],
     ) -> Result<Vec<MaterialGrad>>;
 
-    /// Specular tables: the specular radiance of a surface with normal-incidence reflectance `f0` at every pixel as a function
-    /// of roughness, from light samples that are drawn once and weighed at every tabulated roughness; unbiased at each. A
-    /// pixel is the mean over its strata. Which samples are drawn does not depend on `f0`. Advances `progress` by the rays
-    /// traced.
+    /// Specular tables: the specular radiance of a surface with normal-incidence reflectance `f0` at every pixel as a
+    /// function of roughness, from light samples that are drawn once and weighed at every tabulated roughness; unbiased
+    /// at each. A pixel is the mean over its strata. Which samples are drawn does not depend on `f0`. Advances
+    /// `progress` by the rays traced.
     fn specular_tables(
         &mut self,
         pixels: &[[ShadePoint; STRATA]],
@@ -368,9 +378,9 @@ pub trait Backend {
     /// Image loss: the mean over pixels and channels of |T(rendered) − T(target)|, T(x) = ln(1+x); 0 without pixels.
     fn radiance_loss(&mut self, rendered: &[[f32; 3]], target: &[[f32; 3]]) -> Result<Loss<[f32; 3]>>;
 
-    /// Mean of |value − target(group)| over the pixels of all groups and over channels; `values` holds `channels` numbers
-    /// per pixel. A class counts by its pixels, so that the term keeps its balance with the image loss, which is a mean
-    /// over pixels too.
+    /// Mean of |value − target(group)| over the pixels of all groups and over channels; `values` holds `channels`
+    /// numbers per pixel. A class counts by its pixels, so that the term keeps its balance with the image loss, which
+    /// is a mean over pixels too.
     fn group_loss(
         &mut self,
         values: &[f32],

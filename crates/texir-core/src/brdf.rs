@@ -1,6 +1,6 @@
 //! THE BRDF: simplified Disney with the constants of TexIR (Li et al. 2023), following Karis, "Real Shading in Unreal
-//! Engine 4" (2013). Value, sampling, density, and what derivatives by roughness have in closed form (that of Smith's masking,
-//! which no adjoint pass needs, [`crate::real::Dual`] tells); `shaders/shared/brdf.wgsl` is its twin.
+//! Engine 4" (2013). Value, sampling, density, and what derivatives by roughness have in closed form (that of Smith's
+//! masking, which no adjoint pass needs, [`crate::real::Dual`] tells); `shaders/shared/brdf.wgsl` is its twin.
 //!
 //! Directions are unit and point away from the surface; `n·l` and so on are clamped to [0, 1] by the caller. r is the
 //! perceptual roughness, α = r². No function here includes the cosine n·l unless it says so.
@@ -34,8 +34,8 @@ use crate::real::{Real, V3};
 /// Normal-incidence reflectance of dielectrics.
 pub const DIELECTRIC_F0: f64 = 0.04;
 
-/// What a dielectric (F0 = 0.04) reflects specularly of uniform light, ∫ F D G / (4 cos_o cos_i) cos_i dω averaged over cos_o:
-/// from 0.04 (rough) to 0.08 (smooth).
+/// What a dielectric (F0 = 0.04) reflects specularly of uniform light, ∫ F D G / (4 cos_o cos_i) cos_i dω averaged over
+/// cos_o: from 0.04 (rough) to 0.08 (smooth).
 pub const DIELECTRIC_SPECULAR: f32 = 0.06;
 
 /// The cosines of one pair of directions.
@@ -67,8 +67,8 @@ pub fn distribution<R: Real>(nh: R, r: R) -> R {
     distribution_at(R::of(1.0) - nh * nh, r)
 }
 
-/// [`distribution`] by sin²θ_h instead of nh: D = α² / (π (α² + sin²θ_h (1−α²))²). In single precision nh cannot resolve the
-/// peak of a smooth lobe; the sine of a small angle can.
+/// [`distribution`] by sin²θ_h instead of nh: D = α² / (π (α² + sin²θ_h (1−α²))²). In single precision nh cannot
+/// resolve the peak of a smooth lobe; the sine of a small angle can.
 #[inline]
 pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
     let a2 = r * r * r * r;
@@ -98,14 +98,16 @@ impl Masking {
     }
 }
 
-/// g(c) = 2/(c + √(α² + (1−α²)c²)) (Walter et al., "Microfacet Models for Refraction through Rough Surfaces", 2007, eq. 34).
+/// g(c) = 2/(c + √(α² + (1−α²)c²)) (Walter et al., "Microfacet Models for Refraction through Rough Surfaces", 2007, eq.
+/// 34).
 #[inline]
 pub fn smith<R: Real>(c: R, r: R) -> R {
     let a2 = r * r * r * r;
     R::of(2.0) / (c + (a2 + (R::of(1.0) - a2) * c * c).sqrt())
 }
 
-/// g(c) = 1/(c(1−k)+k), k = (r+1)²/8 (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994, with Karis' k).
+/// g(c) = 1/(c(1−k)+k), k = (r+1)²/8 (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994, with
+/// Karis' k).
 #[inline]
 pub fn schlick<R: Real>(c: R, r: R) -> R {
     let k = (r + R::of(1.0)) * (r + R::of(1.0)) * R::of(0.125);
@@ -132,7 +134,8 @@ pub fn pdf<R: Real>(c: &Cosines<R>, r: R) -> R {
     distribution(c.nh, r) * c.nh / (R::of(4.0) * c.vh)
 }
 
-/// (sin, cos) of the polar angle of the half-vector drawn by `u`: cos²θ_h = (1−u)/(1+(α²−1)u), both without cancellation.
+/// (sin, cos) of the polar angle of the half-vector drawn by `u`: cos²θ_h = (1−u)/(1+(α²−1)u), both without
+/// cancellation.
 pub fn sample_half_vector<R: Real>(u: R, r: R) -> [R; 2] {
     let (a2u, rest) = (r * r * r * r * u, R::of(1.0) - u);
     [a2u, rest].map(|part| (part / (rest + a2u)).sqrt())
@@ -151,8 +154,9 @@ pub fn d_ln_distribution<R: Real>(nh: R, r: R) -> R {
     R::of(4.0) / r - R::of(8.0) * r3 * q / (q * (r3 * r - R::of(1.0)) + R::of(1.0))
 }
 
-/// ψ_D at a half-vector drawn by [`sample_half_vector`] with the same r: 4(2u−1)/r. With q = (1−u)/((1−u)+α²u) the general form
-/// reduces to this; it has no cancellation, and its mean over u is visibly 0, as D nh integrates to 1 for every r.
+/// ψ_D at a half-vector drawn by [`sample_half_vector`] with the same r: 4(2u−1)/r. With q = (1−u)/((1−u)+α²u) the
+/// general form reduces to this; it has no cancellation, and its mean over u is visibly 0, as D nh integrates to 1 for
+/// every r.
 pub fn d_ln_distribution_sampled<R: Real>(u: R, r: R) -> R {
     R::of(4.0) * (R::of(2.0) * u - R::of(1.0)) / r
 }

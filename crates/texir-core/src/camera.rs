@@ -10,7 +10,8 @@ use crate::real::{Real, V3};
 /// How pixels map to directions in camera space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// Full panorama: λ = 2π(u−½), φ = πv, direction (sin λ sin φ, cos φ, −cos λ sin φ); the image centre looks along −Z.
+    /// Full panorama: λ = 2π(u−½), φ = πv, direction (sin λ sin φ, cos φ, −cos λ sin φ); the image centre looks along
+    /// −Z.
     Equirectangular,
     /// Direction normalize((x−cx)/fx, −(y−cy)/fy, −1); all in pixels.
     Pinhole {
@@ -110,15 +111,16 @@ impl Camera {
         Self { projection, width: self.width * factor, height: self.height * factor, ..*self }
     }
 
-    /// Index of part `k`, row by row, of a pixel of the view that this one was [`supersampled`](Self::supersampled) from.
+    /// Index of part `k`, row by row, of a pixel of the view that this one was [`supersampled`](Self::supersampled)
+    /// from.
     pub(crate) fn sub_pixel(&self, factor: usize, pixel: usize, k: usize) -> usize {
         let width = self.width / factor;
         let (x, y) = (pixel % width * factor, pixel / width * factor);
         (y + k / factor) * self.width + x + k % factor
     }
 
-    /// The same view with one pixel for `factor` along both axes; columns and rows that do not fill one are cut off. `None`
-    /// where a panorama would not stay whole.
+    /// The same view with one pixel for `factor` along both axes; columns and rows that do not fill one are cut off.
+    /// `None` where a panorama would not stay whole.
     pub fn reduced(&self, factor: usize) -> Option<Self> {
         let (width, height) = (self.width / factor, self.height / factor);
         let projection = match self.projection {
@@ -142,7 +144,8 @@ impl Camera {
         }
     }
 
-    /// Pixels per radian along the image's axes, near row `y`: the columns of a panorama crowd towards its poles (1/sin φ).
+    /// Pixels per radian along the image's axes, near row `y`: the columns of a panorama crowd towards its poles (1/sin
+    /// φ).
     pub fn pixels_per_radian(&self, y: f32) -> Vec2 {
         match self.projection {
             Projection::Equirectangular => {

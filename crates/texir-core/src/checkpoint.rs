@@ -1,7 +1,9 @@
-//! Steps of a long computation that are kept until all of it is done, so that one that was stopped goes on where it was.
+//! Steps of a long computation that are kept until all of it is done, so that one that was stopped goes on where it
+//! was.
 //!
-//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed: a step that a failing disk
-//! or a power cut has changed does not have the sum that it was written with, and is computed again.
+//! A step is one file of arrays in the safetensors format. What is read back is bit for bit what was computed: a step
+//! that a failing disk or a power cut has changed does not have the sum that it was written with, and is computed
+//! again.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, TryLockError};
@@ -84,7 +86,8 @@ impl Checkpoints {
     }
 
     /// Keeps steps in `folder`, and finds those that an earlier run left there; steps of a computation of another
-    /// `identity` are removed, with a warning. Errors while another run keeps its steps there: the results of both would mix.
+    /// `identity` are removed, with a warning. Errors while another run keeps its steps there: the results of both
+    /// would mix.
     pub fn open(folder: &Path, identity: &str, progress: &dyn Progress) -> Result<Self> {
         let failed = |e| Error::file(folder, format!("cannot be used to keep steps in: {e}"));
         let lock = lock(folder)?;

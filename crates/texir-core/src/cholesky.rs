@@ -1,7 +1,7 @@
 //! Small dense systems, by Cholesky decomposition.
 
-/// Solves A X = B for a symmetric positive definite A, n × n, row by row; A is overwritten, B becomes X. `None` if A is not
-/// positive definite.
+/// Solves A X = B for a symmetric positive definite A, n × n, row by row; A is overwritten, B becomes X. `None` if A is
+/// not positive definite.
 pub(crate) fn solve<const N: usize>(a: &mut [f64], b: &mut [[f64; N]]) -> Option<()> {
     let n = b.len();
     for i in 0..n {

@@ -1,5 +1,6 @@
-//! Fewer triangles for scans that are denser than an atlas can follow: edges are collapsed in the order of what that costs,
-//! by quadric error metrics (Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics", SIGGRAPH 1997).
+//! Fewer triangles for scans that are denser than an atlas can follow: edges are collapsed in the order of what that
+//! costs, by quadric error metrics (Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics",
+//! SIGGRAPH 1997).
 //!
 //! Written here because what there is in Rust does not serve: meshopt-rs turns triangles over, which rays then see from
 //! behind, and baby_shark panics over surfaces with borders (docs/performance.md).
@@ -13,8 +14,8 @@ use crate::error::{Error, Result};
 use crate::mesh::{Mesh, weld};
 use crate::progress::Progress;
 
-/// How far a vertex may come to lie from the planes of the triangles that it stands for (root mean square), metres: less than a
-/// texel of a flat.
+/// How far a vertex may come to lie from the planes of the triangles that it stands for (root mean square), metres:
+/// less than a texel of a flat.
 pub const FARTHEST: f64 = 0.01;
 /// Fewer triangles are no room: a box has as many.
 const FEWEST: usize = 12;
@@ -37,10 +38,12 @@ pub struct Decimated {
     pub moved: f64,
 }
 
-/// Reduces a mesh to `target` triangles, or to as many as it has when the next collapse would go further than [`FARTHEST`].
+/// Reduces a mesh to `target` triangles, or to as many as it has when the next collapse would go further than
+/// [`FARTHEST`].
 ///
-/// Vertices at one place are one: seams of normals and texture coordinates are no borders. Closed surfaces stay closed, borders
-/// keep their course, and no collapse turns a triangle over. What meets at an edge of three or more triangles stays as it is.
+/// Vertices at one place are one: seams of normals and texture coordinates are no borders. Closed surfaces stay closed,
+/// borders keep their course, and no collapse turns a triangle over. What meets at an edge of three or more triangles
+/// stays as it is.
 pub fn decimate(mesh: &Mesh, target: usize, progress: &dyn Progress) -> Result<Decimated> {
     let before = mesh.triangles.len();
     if target < FEWEST {
@@ -240,8 +243,8 @@ impl CollapsibleMesh {
         others.chunk_by(|a, b| a == b).map(|run| (run[0], run.len())).collect()
     }
 
-    /// The triangles around the one vertex that an edge becomes; `None` where the surface would be torn, pinched or turned
-    /// over.
+    /// The triangles around the one vertex that an edge becomes; `None` where the surface would be torn, pinched or
+    /// turned over.
     fn kept(&self, [a, b]: [u32; 2], place: DVec3) -> Option<Vec<u32>> {
         let rings = [self.ring(a), self.ring(b)];
         let shared = rings[0].iter().find(|(v, _)| *v == b)?.1;

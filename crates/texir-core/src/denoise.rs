@@ -1,14 +1,16 @@
-//! Denoising of irradiance in the atlas: what is noise is told from what is shadow by two estimates that err differently.
+//! Denoising of irradiance in the atlas: what is noise is told from what is shadow by two estimates that err
+//! differently.
 //!
-//! Every texel takes a local quadratic fit of its neighbours on the surface (regression keeps gradients, and curvature as far as
-//! noise lets it be seen), weighted by distance and by how much their irradiance differs beyond noise. Each half of the
-//! samples is fitted with weights that the other half gave, so that a texel's noise does not choose its own neighbours
-//! (Rousselle, Knaus and Zwicker, "Adaptive Rendering with Non-Local Means Filtering", SIGGRAPH Asia 2012; regression after
-//! Bitterli et al., "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings", EGSR 2016). And what
-//! both halves have beyond their fits is no noise: it stays, which keeps shadows too thin for the fit to see.
+//! Every texel takes a local quadratic fit of its neighbours on the surface (regression keeps gradients, and curvature
+//! as far as noise lets it be seen), weighted by distance and by how much their irradiance differs beyond noise. Each
+//! half of the samples is fitted with weights that the other half gave, so that a texel's noise does not choose its own
+//! neighbours (Rousselle, Knaus and Zwicker, "Adaptive Rendering with Non-Local Means Filtering", SIGGRAPH Asia 2012;
+//! regression after Bitterli et al., "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo
+//! Renderings", EGSR 2016). And what both halves have beyond their fits is no noise: it stays, which keeps shadows too
+//! thin for the fit to see.
 //!
-//! Where few samples bring most of the light, what one half found is no more than noise to the other, and is lost. What texels of
-//! like brightness lose on average, as far as that is more than chance, is therefore given back to them.
+//! Where few samples bring most of the light, what one half found is no more than noise to the other, and is lost. What
+//! texels of like brightness lose on average, as far as that is more than chance, is therefore given back to them.
 //!
 //! The pass is [`Backend::denoise`](crate::backend::Backend::denoise); this is what its implementations share.
 
@@ -22,8 +24,8 @@ use crate::surface::SurfacePoint;
 pub const RADIUS: f32 = 10.0;
 /// Radius within which the guide is smoothed, texels.
 pub const GUIDE_RADIUS: f32 = 1.6;
-/// Radius within which noise is measured, texels: so wide that a texel's own noise hardly sets how much it is smoothed, which
-/// would keep dark texels dark and not bright ones bright.
+/// Radius within which noise is measured, texels: so wide that a texel's own noise hardly sets how much it is smoothed,
+/// which would keep dark texels dark and not bright ones bright.
 pub const NOISE_RADIUS: f32 = 3.2;
 /// Radius within which texels tell together what the fits miss, texels.
 pub const MISS_RADIUS: f32 = 2.5;
@@ -35,19 +37,20 @@ pub const CELL: f32 = RADIUS / 3.0;
 const _: () = assert!(GUIDE_RADIUS <= CELL && NOISE_RADIUS <= CELL && MISS_RADIUS <= CELL);
 /// A neighbour's weight falls to a quarter where its difference beyond noise is this many times the noise.
 pub const TOLERANCE: f32 = 2.0;
-/// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share of the
-/// value. Noise makes the fit as linear as this lets it.
+/// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share
+/// of the value. Noise makes the fit as linear as this lets it.
 pub const CURVATURE: f32 = 0.5;
-/// What both halves have beyond their fits is told from chance where it is more than this many times its variance. Halves that are
-/// parts of one lattice also share what is left of the whole's error, where independent ones share none.
+/// What both halves have beyond their fits is told from chance where it is more than this many times its variance.
+/// Halves that are parts of one lattice also share what is left of the whole's error, where independent ones share
+/// none.
 pub const CHANCE: f32 = 1.25;
 /// What is lost on average is given back as far as it is more than this many of its standard errors.
 pub const SIGNIFICANT: f32 = 2.0;
 /// The regression's ridge, as a share of the weight: keeps a fit along a line of texels solvable.
 pub const RIDGE: f32 = 1e-3;
 
-/// Two estimates of a quantity per point from as many samples each, linear RGB. Their mean is the estimate, half of their difference
-/// its standard error if they are independent, and more than that if they are parts of one sequence.
+/// Two estimates of a quantity per point from as many samples each, linear RGB. Their mean is the estimate, half of
+/// their difference its standard error if they are independent, and more than that if they are parts of one sequence.
 pub type Halves = [Vec<[f32; 3]>; 2];
 
 /// What is to be denoised.

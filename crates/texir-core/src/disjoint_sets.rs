@@ -35,7 +35,8 @@ impl DisjointSets {
         (0..self.parent.len() as u32).filter(|&member| self.parent[member as usize] == member)
     }
 
-    /// Joins the sets of two numbers: the root that stays, and the other one, which is the same if they were joined already.
+    /// Joins the sets of two numbers: the root that stays, and the other one, which is the same if they were joined
+    /// already.
     pub fn join(&mut self, a: u32, b: u32) -> [u32; 2] {
         let (a, b) = (self.root(a), self.root(b));
         let [stays, goes] = [a.min(b), a.max(b)];

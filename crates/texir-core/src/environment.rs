@@ -11,16 +11,16 @@ use crate::real::{Real, V3};
 
 /// An equirectangular panorama of radiance around the scene, linear RGB.
 ///
-/// +Y is up and the image's centre lies along +X, turning towards +Z to its right: as three.js and (with its own axes, as
-/// its glTF exporter turns them) Blender lay it.
+/// +Y is up and the image's centre lies along +X, turning towards +Z to its right: as three.js and (with its own axes,
+/// as its glTF exporter turns them) Blender lay it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environment {
     radiance: Rgb,
     bright: BrightPixels,
 }
 
-/// The pixels of a panorama that stand out (a sun, its surroundings, lit windows), drawn in proportion to luminance × solid
-/// angle: first a row, then a pixel in it.
+/// The pixels of a panorama that stand out (a sun, its surroundings, lit windows), drawn in proportion to luminance ×
+/// solid angle: first a row, then a pixel in it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BrightPixels {
     /// The rows that have any; empty where nothing stands out.
@@ -97,16 +97,17 @@ impl Environment {
         V3::of(self.radiance.data[self.pixel(direction)])
     }
 
-    /// The pixel of a unit direction: the nearest at u = ½ + atan2(z, x)/2π, v = acos(y)/π.
+    /// The pixel of a unit direction: the nearest at u = ½ + atan2(z, x)/2π, v = acos(y)/π, without its loss of digits
+    /// at the poles.
     pub fn pixel<R: Real>(&self, V3([x, y, z]): V3<R>) -> usize {
         let u = 0.5 + z.atan2(x).value() / TAU;
-        let v = y.min(R::of(1.0)).max(R::of(-1.0)).acos().value() / PI;
+        let v = (x * x + z * z).sqrt().atan2(y).value() / PI;
         let at = |share: f64, size: usize| ((share * size as f64) as usize).min(size - 1);
         at(v, self.radiance.height) * self.radiance.width + at(u, self.radiance.width)
     }
 
-    /// A direction to a bright pixel, and the pixel; uniform over the pixel's solid angle. What is left of the first number
-    /// when row and pixel are chosen places the direction across the pixel.
+    /// A direction to a bright pixel, and the pixel; uniform over the pixel's solid angle. What is left of the first
+    /// number when row and pixel are chosen places the direction across the pixel.
     pub fn bright_direction<R: Real>(&self, [u, v]: [f32; 2]) -> (V3<R>, usize) {
         let BrightPixels { rows, pixels, .. } = &self.bright;
         let (row, rest) = invert(rows.len(), |i| rows[i].cumulative, u);

@@ -1,10 +1,10 @@
 //! The evaluation protocol (method section 6): how far recovered materials and re-rendered views are from the truth.
 //!
-//! Images and albedo are compared after [`metrics::encode`], roughness as it is; the mask leaves light sources out. PSNR comes from
-//! the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to 0 on both sides. Images
-//! are box-filtered over the pixel; true albedo and roughness are those at its centre, as renderers write them, and so are the
-//! recovered ones that they are compared with.
-//! Where the capture has true textures, they go through the same lookup, light and renderer: the ceiling of the protocol.
+//! Images and albedo are compared after [`metrics::encode`], roughness as it is; the mask leaves light sources out.
+//! PSNR comes from the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to
+//! 0 on both sides. Images are box-filtered over the pixel; true albedo and roughness are those at its centre, as
+//! renderers write them, and so are the recovered ones that they are compared with. Where the capture has true
+//! textures, they go through the same lookup, light and renderer: the ceiling of the protocol.
 
 use serde::{Deserialize, Serialize};
 
@@ -43,8 +43,8 @@ impl Score {
     }
 }
 
-/// Albedo is known up to a scale: compared after one least-squares scale per image, and after a single one for all views,
-/// which shows what the former hides, inconsistency between views.
+/// Albedo is known up to a scale: compared after one least-squares scale per image, and after a single one for all
+/// views, which shows what the former hides, inconsistency between views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AlbedoScore {
     /// One scale per image, encoded values: the protocol's figure.
@@ -168,7 +168,8 @@ pub fn check_sizes(capture: &Capture) -> Result<()> {
     ))
 }
 
-/// Evaluates `textures` on every view of `capture`, and its true textures where it has them. `show` sees each view once.
+/// Evaluates `textures` on every view of `capture`, and its true textures where it has them. `show` sees each view
+/// once.
 pub fn evaluate(
     renderer: &mut Renderer<'_>,
     capture: &Capture,

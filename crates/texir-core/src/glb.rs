@@ -2,8 +2,8 @@
 //!
 //! Base colour is sRGB-encoded; roughness is in G and metallic in B of one linear image; lamps are an emissive image
 //! scaled by `KHR_materials_emissive_strength`. TEXCOORD_1 repeats the atlas, for a lightmap. Values that eight bits
-//! cannot hold (float albedo and roughness, HDR radiance, irradiance) are written as EXR beside it, by others. Beyond the charts,
-//! where all maps are 0, images go on as what is near, so that mips of them keep their colours.
+//! cannot hold (float albedo and roughness, HDR radiance, irradiance) are written as EXR beside it, by others. Beyond
+//! the charts, where all maps are 0, images go on as what is near, so that mips of them keep their colours.
 
 mod beyond;
 
@@ -71,7 +71,8 @@ pub(crate) struct Builder {
 }
 
 impl Builder {
-    /// A mesh whose own coordinates are TEXCOORD_1, the lightmap's, and `base` TEXCOORD_0; `further` sets come after them.
+    /// A mesh whose own coordinates are TEXCOORD_1, the lightmap's, and `base` TEXCOORD_0; `further` sets come after
+    /// them.
     pub fn primitive(&mut self, mesh: &Mesh, base: &[Vec2], further: &[Vec<Vec2>]) -> Primitive {
         let (low, high) = mesh.bounds();
         let positions = self.accessor("position", ComponentType::F32, Type::Vec3, &mesh.positions);

@@ -1,9 +1,9 @@
-//! Builds the hierarchy that rays are traced through: a binary one from the top down, by the binned surface area heuristic
-//! (Wald, "On Fast Construction of SAH-based Bounding Volume Hierarchies", IEEE Symposium on Interactive Ray Tracing 2007),
-//! which obvhs packs eight wide.
+//! Builds the hierarchy that rays are traced through: a binary one from the top down, by the binned surface area
+//! heuristic (Wald, "On Fast Construction of SAH-based Bounding Volume Hierarchies", IEEE Symposium on Interactive Ray
+//! Tracing 2007), which obvhs packs eight wide.
 //!
-//! obvhs's own builder goes from the bottom up. Where triangles are even and flat surfaces large, its boxes overlap more and
-//! more: a ray visits 70 nodes among a million triangles where it visits 11 here (docs/performance.md).
+//! obvhs's own builder goes from the bottom up. Where triangles are even and flat surfaces large, its boxes overlap
+//! more and more: a ray visits 70 nodes among a million triangles where it visits 11 here (docs/performance.md).
 
 use glam::Vec3A;
 use obvhs::aabb::Aabb;
@@ -15,18 +15,19 @@ use rayon::prelude::*;
 
 /// Bins that the centres of boxes are sorted into, per axis.
 const BINS: usize = 32;
-/// Levels of the binary hierarchy in which the heuristic decides; below, boxes are halved by number. Far more than it needs:
-/// it could go on peeling off one box at a time.
+/// Levels of the binary hierarchy in which the heuristic decides; below, boxes are halved by number. Far more than it
+/// needs: it could go on peeling off one box at a time.
 const HEURISTIC_LEVELS: usize = 48;
-/// Most levels of a hierarchy: the shaders' traversal keeps an entry per level and has room for 32; the size of the host's stack follows from
-/// this.
+/// Most levels of a hierarchy: the shaders' traversal keeps an entry per level and has room for 32; the size of the
+/// host's stack follows from this.
 pub const MOST_LEVELS: usize = 31;
 /// Triangles of a leaf: as many as a compressed node can hold.
 const LEAF: u32 = 3;
 /// Boxes from which on work is shared between threads.
 const SHARED: usize = 1 << 14;
 
-/// The hierarchy of some triangles, of which there is at least one. A triangle that is much larger than others may be in several leaves.
+/// The hierarchy of some triangles, of which there is at least one. A triangle that is much larger than others may be
+/// in several leaves.
 pub fn build(triangles: Vec<Triangle>) -> CwBvh {
     let mut boxes: Vec<Aabb> = triangles.iter().map(|t| t.aabb()).collect();
     let mut triangle_of: Vec<u32> = (0..triangles.len() as u32).collect();
@@ -49,7 +50,8 @@ pub fn build(triangles: Vec<Triangle>) -> CwBvh {
     if levels(&best) <= MOST_LEVELS {
         return best;
     }
-    // Boxes without area, which obvhs does not pack: nearly all triangles in one place. Halving n boxes takes log2 n levels.
+    // Boxes without area, which obvhs does not pack: nearly all triangles in one place. Halving n boxes takes log2 n
+    // levels.
     packed(MOST_LEVELS - boxes.len().next_power_of_two().ilog2() as usize)
 }
 
@@ -66,7 +68,8 @@ fn levels(bvh: &CwBvh) -> usize {
     deepest
 }
 
-/// A part of the binary hierarchy that is to be built, with the room for it: n boxes take a root and 2n − 2 nodes below.
+/// A part of the binary hierarchy that is to be built, with the room for it: n boxes take a root and 2n − 2 nodes
+/// below.
 struct Subtree<'a> {
     root: &'a mut Bvh2Node,
     below: &'a mut [Bvh2Node],
@@ -258,7 +261,8 @@ fn halve(boxes: &[Aabb], items: &mut [u32], axis: usize) -> usize {
     middle
 }
 
-/// Sums up items, between threads where there are many. Whatever the threads, the result is the same: minima and maxima.
+/// Sums up items, between threads where there are many. Whatever the threads, the result is the same: minima and
+/// maxima.
 fn shared<T: Send>(
     items: &[u32],
     empty: impl Fn() -> T + Sync + Send,
@@ -288,7 +292,8 @@ mod tests {
         (0..count).map(|i| Triangle { v0: place(i), v1: place(i) + edge(i, 10), v2: place(i) + edge(i, 20) }).collect()
     }
 
-    /// How many nodes a ray that crosses everything is expected to visit: the areas of their boxes by that of the whole.
+    /// How many nodes a ray that crosses everything is expected to visit: the areas of their boxes by that of the
+    /// whole.
     fn expected_visits(bvh: &CwBvh) -> f32 {
         let inner =
             |node: &CwBvhNode| (0..8).filter(|&child| !node.is_leaf(child)).map(|c| node.child_aabb(c)).collect();

@@ -1,8 +1,9 @@
-//! Values for texels that no view sees (radiance, albedo, roughness), from texels nearby in space that belong with them.
+//! Values for texels that no view sees (radiance, albedo, roughness), from texels nearby in space that belong with
+//! them.
 //!
-//! Seen texels are averaged in cells of a sparse grid, apart for each group (those that face the same way, or a segment), at
-//! doubling cell sizes. An unseen texel takes the finest level on which cells around it know anything. Averages are
-//! geometric.
+//! Seen texels are averaged in cells of a sparse grid, apart for each group (those that face the same way, or a
+//! segment), at doubling cell sizes. An unseen texel takes the finest level on which cells around it know anything.
+//! Averages are geometric.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, DefaultHasher};
@@ -25,9 +26,9 @@ const SOURCE: f32 = 8.0;
 /// Keeps the logarithm of black finite; far below any radiance that matters.
 const BLACK: f32 = 1e-6;
 
-/// The radiance of all points, where `known` as it is, else that of what is near and faces the same way; black if nothing is
-/// known at all. Light sources are left out of the averages: light is not invented. `texel` is the edge of a typical texel,
-/// metres.
+/// The radiance of all points, where `known` as it is, else that of what is near and faces the same way; black if
+/// nothing is known at all. Light sources are left out of the averages: light is not invented. `texel` is the edge of a
+/// typical texel, metres.
 pub(crate) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
     let limit = source_limit(known);
     let group: Vec<u32> = points.par_iter().map(|p| facing(p.normal.into())).collect();
@@ -130,8 +131,8 @@ impl NestedGrids {
     }
 }
 
-/// Which of the six axis directions a normal is closest to; of several, the first. (The light tables take the last: their twin in
-/// WGSL does.)
+/// Which of the six axis directions a normal is closest to; of several, the first. (The light tables take the last:
+/// their twin in WGSL does.)
 fn facing(normal: Vec3) -> u32 {
     let axis = normal.abs().max_position();
     2 * axis as u32 + u32::from(normal[axis] < 0.0)

@@ -1,11 +1,12 @@
 //! texir without a GPU dependency: captures, the BRDF and its adjoints, the fit, and the CPU twin of every kernel.
 //!
-//! Without the feature `files`, on by default, there are the passes, the CPU's backend and the bake alone, for programs that have
-//! scenes of their own: no reader of any format is linked then.
+//! Without the feature `files`, on by default, there are the passes, the CPU's backend and the bake alone, for programs
+//! that have scenes of their own: no reader of any format is linked then.
 //!
-//! A bake in four steps: a [`scene::Scene`] of a [`mesh::Mesh`]; a [`backend::Backend`] that traces it ([`cpu::CpuBackend`], or `texir_gpu`'s on a
-//! device of wgpu); the light, a texture of radiance in the mesh's atlas and the [`lights::Lights`] in it; and [`bake`], for the texels of an
-//! [`atlas::Atlas`]. Radiance and irradiance are linear; irradiance includes the cosine and is not divided by π.
+//! A bake in four steps: a [`scene::Scene`] of a [`mesh::Mesh`]; a [`backend::Backend`] that traces it
+//! ([`cpu::CpuBackend`], or `texir_gpu`'s on a device of wgpu); the light, a texture of radiance in the mesh's atlas
+//! and the [`lights::Lights`] in it; and [`bake`], for the texels of an [`atlas::Atlas`]. Radiance and irradiance are
+//! linear; irradiance includes the cosine and is not divided by π.
 //!
 //! ```
 //! use glam::{Vec2, Vec3};
@@ -103,6 +104,8 @@ mod hierarchy;
 pub mod image_io;
 #[cfg(feature = "files")]
 mod inpaint;
+#[cfg(feature = "files")]
+mod light_unit;
 #[cfg(feature = "files")]
 pub mod lightmap;
 pub mod lights;

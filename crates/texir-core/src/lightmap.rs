@@ -67,7 +67,15 @@ mod tests {
     #[test]
     fn texels_hold_what_the_engine_divides_by() {
         let irradiance = Rgb::filled(1, 1, [std::f32::consts::PI; 3]);
-        for (profile, texel) in [(Profile::Bevy, 1.0), (Profile::Unity, 1.0), (Profile::Three, std::f32::consts::PI)] {
+        let (full, over_pi) = (std::f32::consts::PI, 1.0);
+        for (profile, texel) in [
+            (Profile::Irradiance, full),
+            (Profile::Bevy, over_pi),
+            (Profile::Godot, over_pi),
+            (Profile::Unity, over_pi),
+            (Profile::Three, full),
+            (Profile::Moz, full),
+        ] {
             assert!((profile.lightmap(&irradiance).data[0][0] - texel).abs() < 1e-6, "{profile:?}");
         }
     }

@@ -11,6 +11,9 @@ use crate::surface::offset_origin;
 /// Rays may start off a surface by this share of the mesh's size.
 const LARGEST_STEP: f32 = 1e-3;
 
+/// Atlas coordinates beyond this are of a damaged file, and texels by them of no size.
+const FARTHEST_UV: f32 = 1e6;
+
 /// An indexed triangle mesh. World space, metres, right-handed. Texture origin top left (v down, as in glTF).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
@@ -37,6 +40,12 @@ impl Mesh {
         }
         if self.triangles.is_empty() {
             return Err(Error::invalid("the mesh has no triangles"));
+        }
+        if let Some((i, uv)) = self.uvs.iter().enumerate().find(|(_, uv)| !(uv.abs().max_element() <= FARTHEST_UV)) {
+            return Err(Error::invalid(format!(
+                "vertex {i} of the mesh has the atlas coordinates {uv}; expected numbers, from 0 to 1 as a rule, and up to \
+                 {FARTHEST_UV:e}"
+            )));
         }
         match self.triangles.iter().enumerate().find(|(_, t)| t.iter().any(|i| *i as usize >= vertices)) {
             Some((t, corners)) => Err(Error::invalid(format!(
@@ -156,8 +165,8 @@ pub(crate) fn bounds(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
     points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)))
 }
 
-/// Numbers vertices from 0 in the order in which their `keys` first appear, those with one key alike: the number of every
-/// vertex, and of every number the first vertex that has it. Keys say which places are one.
+/// Numbers vertices from 0 in the order in which their `keys` first appear, those with one key alike: the number of
+/// every vertex, and of every number the first vertex that has it. Keys say which places are one.
 pub(crate) fn weld<K: Eq + Hash>(keys: impl Iterator<Item = K>) -> (Vec<u32>, Vec<u32>) {
     let mut numbers: HashMap<K, u32> = HashMap::new();
     let mut firsts = Vec::new();
@@ -210,5 +219,20 @@ mod tests {
         assert!(misplaced(3.0, Vec3::new(0.0, 0.0, -10_000.0)).is_some());
         // In kilometres, a room is a speck.
         assert!(misplaced(0.003, Vec3::ZERO).is_some());
+    }
+
+    #[test]
+    fn atlas_coordinates_are_numbers_of_some_size() {
+        let at = |u: f32| Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            normals: vec![Vec3::Z; 3],
+            uvs: vec![Vec2::ZERO, Vec2::new(u, 0.0), Vec2::Y],
+            triangles: vec![[0, 1, 2]],
+        };
+        [1.0, -7.5, 1e6].into_iter().for_each(|u| at(u).check().unwrap());
+        for u in [f32::NAN, f32::INFINITY, 1e20] {
+            let error = at(u).check().unwrap_err().to_string();
+            assert!(error.contains("vertex 1 of the mesh has the atlas coordinates"), "{error}");
+        }
     }
 }

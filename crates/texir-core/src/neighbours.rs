@@ -1,4 +1,5 @@
-//! Which points lie near each other on a surface. Neighbours are found in space, so that charts of the atlas do not matter.
+//! Which points lie near each other on a surface. Neighbours are found in space, so that charts of the atlas do not
+//! matter.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec3};
@@ -20,7 +21,8 @@ pub const FAR: usize = 49;
 pub struct Neighbours<const COLUMNS: usize> {
     /// Edge of a cell, metres.
     edge: f32,
-    /// The points, cell by cell in order of x, y, z and then of the points' own, so that a column of cells lies together.
+    /// The points, cell by cell in order of x, y, z and then of the points' own, so that a column of cells lies
+    /// together.
     pub entries: Vec<Entry>,
     /// Of every cell, where in `entries` each column around it begins and ends.
     pub spans: Vec<[[u32; 2]; COLUMNS]>,
@@ -46,7 +48,8 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
     /// How many cells the columns reach.
     const REACH: i32 = (COLUMNS.isqrt() / 2) as i32;
 
-    /// Sorts the points into cells of `edge` metres, for searches of up to that radius, or three times that with [`FAR`].
+    /// Sorts the points into cells of `edge` metres, for searches of up to that radius, or three times that with
+    /// [`FAR`].
     pub fn new(points: &[SurfacePoint], edge: f32) -> Self {
         let cell_at = |i: u32| cell_of(points[i as usize].position.into(), edge).to_array();
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
@@ -77,7 +80,8 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
         Self { edge, entries, spans, places }
     }
 
-    /// Gives `found` the points within `radius` metres of point `i` on its surface, itself included: index and offset, metres.
+    /// Gives `found` the points within `radius` metres of point `i` on its surface, itself included: index and offset,
+    /// metres.
     #[inline(always)]
     pub fn each(&self, i: usize, radius: f32, mut found: impl FnMut(usize, Vec3)) {
         let own = &self.entries[self.places[i] as usize];
@@ -126,8 +130,8 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
     }
 }
 
-/// The cell of a grid of some `edge` (metres) that a place lies in. What is too far from the origin to be counted is taken to be as
-/// far as can be counted with room for sums and differences.
+/// The cell of a grid of some `edge` (metres) that a place lies in. What is too far from the origin to be counted is
+/// taken to be as far as can be counted with room for sums and differences.
 pub(crate) fn cell_of(position: Vec3, edge: f32) -> IVec3 {
     const FARTHEST: Vec3 = Vec3::splat(1e9);
     (position / edge).floor().clamp(-FARTHEST, FARTHEST).as_ivec3()

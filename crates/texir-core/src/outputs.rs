@@ -150,8 +150,8 @@ impl FitOutput {
         write_glb(path, &self.mesh, &materials, Up::Z)
     }
 
-    /// Reads what [`FitOutput::save`] wrote, and may have been edited since: texels that are no numbers are an error, values
-    /// out of range are limited and warned about.
+    /// Reads what [`FitOutput::save`] wrote, and may have been edited since: texels that are no numbers are an error,
+    /// values out of range are limited and warned about.
     pub fn load(folder: &Path, progress: &dyn Progress) -> Result<Self> {
         if !folder.join(ALBEDO).is_file() {
             return Err(Error::file(
@@ -184,7 +184,8 @@ impl FitOutput {
     }
 }
 
-/// Output that appears all at once: files are written to a folder that nobody looks into, and moved to the target when all are there.
+/// Output that appears all at once: files are written to a folder that nobody looks into, and moved to the target when
+/// all are there.
 #[derive(Debug)]
 pub struct Staging(Stage);
 

@@ -37,6 +37,21 @@ impl Progress for Silent {
     }
 }
 
+/// Tells of no task: for what is a part of one, or happens besides. It can be stopped, and warns.
+pub(crate) struct Uncounted<'a>(pub &'a dyn Progress);
+
+impl Progress for Uncounted<'_> {
+    fn start(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, message: &str) {
+        self.0.warn(message);
+    }
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}
+
 /// Names tasks after what they are for as well, as one pass may run for several things in turn.
 pub struct Named<'a> {
     /// Where it is reported.

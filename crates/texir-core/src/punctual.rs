@@ -37,15 +37,16 @@ impl PunctualLight {
         Self { position, intensity, cone_offset: 1.0, ..Self::zeroed() }
     }
 
-    /// A light at a point, full within the `inner` angle of its direction, none beyond the `outer` one (radians, inner ≤
-    /// outer), with the falloff that the extension recommends.
+    /// A light at a point, full within the `inner` angle of its direction, none beyond the `outer` one (radians, inner
+    /// < outer, or the edge is a hard one at `outer`), with the falloff that the extension recommends.
     pub fn spot(position: [f32; 3], direction: [f32; 3], intensity: [f32; 3], [inner, outer]: [f32; 2]) -> Self {
         let cone_scale = 1.0 / (inner.cos() - outer.cos()).max(0.001);
         let cone_offset = -outer.cos() * cone_scale;
         Self { position, direction, intensity, cone_scale, cone_offset, ..Self::zeroed() }
     }
 
-    /// A light from infinitely far away that shines along `direction`; `irradiance` is what a surface that faces it receives.
+    /// A light from infinitely far away that shines along `direction`; `irradiance` is what a surface that faces it
+    /// receives.
     pub fn distant(direction: [f32; 3], irradiance: [f32; 3]) -> Self {
         Self { direction, distant: 1, intensity: irradiance, cone_offset: 1.0, ..Self::zeroed() }
     }
@@ -55,7 +56,8 @@ impl PunctualLight {
         Self { inverse_range: 1.0 / range, ..self }
     }
 
-    /// Errors on numbers that no light can have, and on directions of another length than 1, which would dim what shines along them.
+    /// Errors on numbers that no light can have, and on directions of another length than 1, which would dim what
+    /// shines along them.
     pub fn check(&self) -> Result<()> {
         let vectors = [self.position, self.direction, self.intensity];
         let numbers = [self.inverse_range, self.cone_scale, self.cone_offset];

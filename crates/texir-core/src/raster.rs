@@ -55,8 +55,8 @@ impl<T> Raster<T> {
         place(uv.y, self.height) * self.width + place(uv.x, self.width)
     }
 
-    /// Indices of the four values around a place in pixels, centres at halves, with the weights of a bilinear look-up, which
-    /// sum to 1. Left and right meet where the image `wraps`; other borders are repeated.
+    /// Indices of the four values around a place in pixels, centres at halves, with the weights of a bilinear look-up,
+    /// which sum to 1. Left and right meet where the image `wraps`; other borders are repeated.
     pub fn around(&self, place: DVec2, wraps: bool) -> [(usize, f32); 4] {
         let corner = (place - 0.5).floor();
         let t = (place - 0.5 - corner).as_vec2();
@@ -82,7 +82,8 @@ impl<T> Raster<T> {
 }
 
 impl<T: Copy> Raster<T> {
-    /// An array with one value, made by `one`, of every square of `factor` × `factor`; what does not fill a square is cut off.
+    /// An array with one value, made by `one`, of every square of `factor` × `factor`; what does not fill a square is
+    /// cut off.
     pub fn reduced(self, factor: usize, one: impl Fn(&[T]) -> T) -> Self {
         if factor == 1 {
             return self;

@@ -1,11 +1,12 @@
 //! Views of a scene with given textures: what `render`, `eval` and `report` look at.
 //!
-//! textures → their mip levels ([`Renderer::mipmapped`]); primary hits → material at every pixel centre ([`Renderer::surfaces`]);
-//! primary hits of sub-pixels → trilinear footprints → specular radiance from tables over roughness, diffuse radiance and
-//! emission, averaged ([`Renderer::render`]).
+//! textures → their mip levels ([`Renderer::mipmapped`]); primary hits → material at every pixel centre
+//! ([`Renderer::surfaces`]); primary hits of sub-pixels → trilinear footprints → specular radiance from tables over
+//! roughness, diffuse radiance and emission, averaged ([`Renderer::render`]).
 
 mod mipmapped;
 
+use std::borrow::Cow;
 use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,10 +19,11 @@ use crate::brdf::{self, DIELECTRIC_F0, Masking};
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
+use crate::light_unit;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
-use crate::progress::{Progress, Silent};
-use crate::raster::{Gray, Mask, Raster, Rgb};
+use crate::progress::{Progress, Uncounted};
+use crate::raster::{Gray, Mask, Raster, Rgb, mean_of_channels};
 use crate::real::V3;
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
@@ -35,8 +37,8 @@ use mipmapped::Seen;
 /// 100 MB) whatever the size of the view.
 const CHUNK: usize = 1 << 18;
 
-/// Sub-pixels per pixel and axis in rendered views. Captured images are box-filtered over the pixel, and at the edges of
-/// lamps and windows a small share of it decides.
+/// Sub-pixels per pixel and axis in rendered views. Captured images are box-filtered over the pixel, and at the edges
+/// of lamps and windows a small share of it decides.
 const SUB_PIXELS: usize = 4;
 /// Sub-pixels per pixel.
 const ALL: usize = SUB_PIXELS * SUB_PIXELS;
@@ -93,6 +95,8 @@ pub struct Renderer<'a> {
     backend: &'a mut dyn Backend,
     /// The backend's.
     scene: Arc<Scene>,
+    /// What the backend's lighting is multiplied with.
+    unit: f32,
     /// Rays per stratum.
     rays: u32,
     seed: u32,
@@ -105,8 +109,15 @@ impl<'a> Renderer<'a> {
     pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
         let atlas = Atlas::new(backend, radiance.width, radiance.height)?;
         let scene = backend.scene().clone();
-        backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance)?)?;
-        Ok(Self { backend, scene, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
+        let of_texel = |texel: &u32| f64::from(mean_of_channels(radiance.data[*texel as usize]));
+        let mean = atlas.texels.iter().map(of_texel).sum::<f64>() / atlas.texels.len().max(1) as f64;
+        let unit = light_unit::unit(mean);
+        let mut radiance = Cow::Borrowed(radiance);
+        if unit != 1.0 {
+            light_unit::scale(radiance.to_mut(), unit);
+        }
+        backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance)?)?;
+        Ok(Self { backend, scene, unit, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
     }
 
     /// The mesh that views are rendered of.
@@ -128,7 +139,8 @@ impl<'a> Renderer<'a> {
         camera.pixels() as u64 * u64::from(self.rays_per_pixel())
     }
 
-    /// Textures ready to be seen in views of this renderer's scene: with their mip levels, a third of their memory more.
+    /// Textures ready to be seen in views of this renderer's scene: with their mip levels, a third of their memory
+    /// more.
     pub fn mipmapped<'t>(&mut self, textures: &'t Textures) -> Result<Mipmapped<'t>> {
         Mipmapped::new(self.scene.clone(), textures, |size| self.pyramid(size))
     }
@@ -207,6 +219,7 @@ impl<'a> Renderer<'a> {
                 let seen: Vec<Seen> = hitting.par_iter().map(|&i| band.seen(i, textures)).collect();
                 let specular = highlights.iter().find(|of| of.masking == textures.masking);
                 let specular = specular.map_or(Vec::new(), |of| of.radiance(&strata, &seen));
+                let specular = specular.into_iter().map(|value| value.map(|v| v / self.unit));
                 strata.iter().zip(specular).for_each(|(&k, value)| add(hitting[k], STRATUM.len(), value));
                 let rest = |(&i, seen): (&u32, &Seen)| band.diffuse_and_emitted(i, seen, textures.diffuse);
                 let rest: Vec<_> = hitting.par_iter().zip(&seen).map(rest).collect();
@@ -229,10 +242,11 @@ impl<'a> Renderer<'a> {
         for masking in textures.iter().map(|textures| textures.masking) {
             if all.iter().all(|known| known.masking != masking) {
                 // Unasked-for rays are not counted: they depend on the textures.
-                let counted = if all.is_empty() { progress } else { &Silent };
+                let uncounted = &Uncounted(progress);
+                let counted = if all.is_empty() { progress } else { uncounted };
                 let sampling = self.sampling(masking);
                 let dielectric = self.backend.specular_tables(points, DIELECTRIC_F0 as f32, sampling, counted)?;
-                let white = self.backend.specular_tables(white_points, 1.0, sampling, &Silent)?;
+                let white = self.backend.specular_tables(white_points, 1.0, sampling, uncounted)?;
                 all.push(Highlights { masking, dielectric, white });
             }
         }
@@ -310,7 +324,8 @@ impl Band<'_> {
     }
 }
 
-/// Specular radiance of a band's strata by roughness, under one masking; linear in F0, and known at two.
+/// Specular radiance, in the unit of the backend's lighting, of a band's strata by roughness, under one masking; linear
+/// in F0, and known at two.
 struct Highlights {
     masking: Masking,
     /// At the F0 of dielectrics.

@@ -1,4 +1,5 @@
-//! Random and low-discrepancy numbers: integer arithmetic only, so that the CPU twin and the WGSL draw the same samples.
+//! Random and low-discrepancy numbers: integer arithmetic only, so that the CPU twin and the WGSL draw the same
+//! samples.
 
 /// PCG-style hash of one word (Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 2020).
 pub fn hash(x: u32) -> u32 {
@@ -28,8 +29,8 @@ fn owen(x: u32, seed: u32) -> u32 {
     laine_karras(x.reverse_bits(), seed).reverse_bits()
 }
 
-/// The second Sobol dimension of index `i`, as a 32-bit fraction: i times Pascal's triangle modulo 2, which factors into
-/// five masked shifts (no loop: loop iterations are scarce on some drivers).
+/// The second Sobol dimension of index `i`, as a 32-bit fraction: i times Pascal's triangle modulo 2, which factors
+/// into five masked shifts (no loop: loop iterations are scarce on some drivers).
 fn sobol_pascal(i: u32) -> u32 {
     let mut x = i.reverse_bits();
     x ^= (x & 0x5555_5555) << 1;
@@ -42,8 +43,8 @@ fn sobol_pascal(i: u32) -> u32 {
 
 /// Sample `index` of the two-dimensional Owen-scrambled Sobol sequence of `seed`, as fractions in [0, 1).
 ///
-/// Any aligned run of 2^k samples is a (0, k, 2)-net, so that a prefix of a sequence is already well spread. Values have
-/// 24 bits and are therefore the same numbers in `f32` and `f64`.
+/// Any aligned run of 2^k samples is a (0, k, 2)-net, so that a prefix of a sequence is already well spread. Values
+/// have 24 bits and are therefore the same numbers in `f32` and `f64`.
 pub fn sobol2(index: u32, seed: u32) -> [f32; 2] {
     let shuffled = owen(index, seed);
     let x = owen(shuffled.reverse_bits(), hash2(seed, 1));
@@ -56,17 +57,18 @@ pub(crate) fn to_unit(x: u32) -> f32 {
     (x >> 8) as f32 / 16_777_216.0
 }
 
-/// Point `i` of the lattice sequence {(φ(i), frac(g·φ(i)))}, φ the radical inverse in base 2, shifted as a whole by `offset`
-/// (32-bit fractions), as numbers in [0, 1) with 24 bits.
+/// Point `i` of the lattice sequence {(φ(i), frac(g·φ(i)))}, φ the radical inverse in base 2, shifted as a whole by
+/// `offset` (32-bit fractions), as numbers in [0, 1) with 24 bits.
 ///
-/// Its first 2^k points, and every aligned run of as many, are a lattice (Hickernell et al., "Extensible Lattice Sequences for
-/// Quasi-Monte Carlo Quadrature", SIAM J. Sci. Comput. 22, 2000), so that sampling can go on until the error is small enough.
-/// For a random offset every point is uniform, and an estimate unbiased (Cranley and Patterson, SIAM J. Numer. Anal. 13,
-/// 1976). Where an integrand jumps, its error is lower than that of a scrambled net of as many points.
+/// Its first 2^k points, and every aligned run of as many, are a lattice (Hickernell et al., "Extensible Lattice
+/// Sequences for Quasi-Monte Carlo Quadrature", SIAM J. Sci. Comput. 22, 2000), so that sampling can go on until the
+/// error is small enough. For a random offset every point is uniform, and an estimate unbiased (Cranley and Patterson,
+/// SIAM J. Numer. Anal. 13, 1976). Where an integrand jumps, its error is lower than that of a scrambled net of as many
+/// points.
 pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
-    // Of the lattices of 2^4 to 2^17 points with this g, none has a dual vector with a product of components (0 counting as
-    // 1) below 7 % of the number of points; up to 2^10, none below 14 %. That keeps points apart whatever the stretch between
-    // the two dimensions, which in the polar map of a hemisphere changes with the elevation.
+    // Of the lattices of 2^4 to 2^17 points with this g, none has a dual vector with a product of components (0
+    // counting as 1) below 7 % of the number of points; up to 2^10, none below 14 %. That keeps points apart whatever
+    // the stretch between the two dimensions, which in the polar map of a hemisphere changes with the elevation.
     const GENERATOR: u32 = 38_695;
     let x = i.reverse_bits();
     [to_unit(x.wrapping_add(offset[0])), to_unit(x.wrapping_mul(GENERATOR).wrapping_add(offset[1]))]
@@ -75,9 +77,9 @@ pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
 /// Cells along an edge of a square that [`along_z_curve`] goes through.
 pub const Z_SIDE: u32 = 32;
 
-/// How many cells of a square of [`Z_SIDE`]² a Z curve (Morton 1966) passes before it comes to that in a column and a row: their
-/// bits by turns. At every level the halves are met in an order of their own, by `seed`: no pattern can be seen. Even so
-/// every aligned square of 2^k cells along an edge is one stretch of the curve.
+/// How many cells of a square of [`Z_SIDE`]² a Z curve (Morton 1966) passes before it comes to that in a column and a
+/// row: their bits by turns. At every level the halves are met in an order of their own, by `seed`: no pattern can be
+/// seen. Even so every aligned square of 2^k cells along an edge is one stretch of the curve.
 pub fn along_z_curve(cell: [u32; 2], seed: u32) -> u32 {
     const BITS: u32 = 2 * Z_SIDE.ilog2();
     let [x, y] = cell.map(|v| {
@@ -88,8 +90,8 @@ pub fn along_z_curve(cell: [u32; 2], seed: u32) -> u32 {
     owen((x | (y << 1)) << (32 - BITS), seed) >> (32 - BITS)
 }
 
-/// Indices of [`lattice2`] in the order in which a curve that fills the square (Hilbert 1891) meets their points: rays that
-/// are traced after or beside each other then go similar ways, and read the same parts of the scene.
+/// Indices of [`lattice2`] in the order in which a curve that fills the square (Hilbert 1891) meets their points: rays
+/// that are traced after or beside each other then go similar ways, and read the same parts of the scene.
 pub fn along_hilbert_curve(mut indices: Vec<u32>) -> Vec<u32> {
     indices.sort_by_cached_key(|&i| hilbert(lattice2(i, [0; 2])));
     indices

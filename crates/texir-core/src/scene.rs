@@ -16,7 +16,8 @@ use crate::real::V3;
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
 
-/// Nodes and the costs of packing them are counted in 32 bits, of which there are up to 14 to each triangle and each part of one.
+/// Nodes and the costs of packing them are counted in 32 bits, of which there are up to 14 to each triangle and each
+/// part of one.
 const MOST_TRIANGLES: usize = 1 << 27;
 
 /// Bytes of a triangle while the hierarchy over them is built: itself, its box, nodes and the costs of packing them.
@@ -35,8 +36,9 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Builds the hierarchy. Errors on a mesh that is not [whole](Mesh::check), has more than 2²⁷ triangles, or vertices that are nowhere
-    /// near it. One that is far from the origin is none, though its light will be wrong: ask [`Mesh::misplaced`].
+    /// Builds the hierarchy. Errors on a mesh that is not [whole](Mesh::check), has more than 2²⁷ triangles, or
+    /// vertices that are nowhere near it. One that is far from the origin is none, though its light will be wrong: ask
+    /// [`Mesh::misplaced`].
     pub fn new(mesh: Mesh) -> Result<Self> {
         mesh.check()?;
         if mesh.triangles.len() > MOST_TRIANGLES {

@@ -1,9 +1,9 @@
 //! Specular radiance as a function of roughness, per pixel: with it, the fit moves roughness without tracing a ray.
 //!
-//! The TBL is fixed while materials are fitted, so the light samples of a pixel can be drawn once and re-weighted for any
-//! roughness (method section 5.2). With F0 fixed, what re-weighting yields is one smooth curve per pixel and channel: it is
-//! tabulated at [`NODES`] roughnesses and interpolated. In ln r a GGX lobe has the same shape at every width, so that
-//! nodes evenly spaced in ln r resolve wide and narrow lobes alike.
+//! The TBL is fixed while materials are fitted, so the light samples of a pixel can be drawn once and re-weighted for
+//! any roughness (method section 5.2). With F0 fixed, what re-weighting yields is one smooth curve per pixel and
+//! channel: it is tabulated at [`NODES`] roughnesses and interpolated. In ln r a GGX lobe has the same shape at every
+//! width, so that nodes evenly spaced in ln r resolve wide and narrow lobes alike.
 
 use bytemuck::{Pod, Zeroable};
 use half::f16;
@@ -50,8 +50,8 @@ pub struct TableSampling {
 }
 
 impl TableSampling {
-    /// About `rays` rays per pixel, at least 24: five eighths to the lobes, a sixteenth cosine-distributed, the rest to the
-    /// lights.
+    /// About `rays` rays per pixel, at least 24: five eighths to the lobes, a sixteenth cosine-distributed, the rest to
+    /// the lights.
     pub fn of_rays(rays: u32, masking: Masking, seed: u32) -> Self {
         let stratum = (rays / STRATA as u32).max(6);
         let lobe = (stratum / 8).max(1);
@@ -84,14 +84,15 @@ impl Curve {
         self.nodes[k].map(f16::to_f32)
     }
 
-    /// Radiance at roughness `r` and its derivative ∂/∂r, by Catmull–Rom interpolation in ln r; constant outside [`RANGE`].
+    /// Radiance at roughness `r` and its derivative ∂/∂r, by Catmull–Rom interpolation in ln r; constant outside
+    /// [`RANGE`].
     pub fn at(&self, r: f32) -> ([f32; 3], [f32; 3]) {
         interpolated(|k| self.at_node(k), r)
     }
 }
 
-/// A curve as a fit keeps one for every pixel or few: 9 bits for each channel under an exponent that they share (RGB9E5 of Khronos'
-/// `EXT_texture_shared_exponent`). A channel is off by two thousandths of the largest at most.
+/// A curve as a fit keeps one for every pixel or few: 9 bits for each channel under an exponent that they share (RGB9E5
+/// of Khronos' `EXT_texture_shared_exponent`). A channel is off by two thousandths of the largest at most.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PackedCurve([u32; NODES]);
 

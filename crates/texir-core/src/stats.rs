@@ -1,7 +1,7 @@
 //! Single numbers that stand for many.
 
-/// The median, as one of the values: of an even count, the upper of the two in the middle. `None` without values; they change
-/// places.
+/// The median, as one of the values: of an even count, the upper of the two in the middle. `None` without values; they
+/// change places.
 pub(crate) fn median(values: &mut [f32]) -> Option<f32> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)

@@ -86,8 +86,8 @@ impl SurfacePoint {
     }
 }
 
-/// Moves a ray origin off its surface by a few units in the last place, so that the ray does not meet the surface that it
-/// starts on, at any scene scale (Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray
+/// Moves a ray origin off its surface by a few units in the last place, so that the ray does not meet the surface that
+/// it starts on, at any scene scale (Wächter and Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray
 /// Tracing Gems, chapter 6).
 pub fn offset_origin(p: Vec3, n: Vec3) -> Vec3 {
     const ORIGIN: f32 = 1.0 / 32.0;

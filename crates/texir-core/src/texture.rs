@@ -1,7 +1,7 @@
 //! Mip-mapped textures over an atlas with holes: the pyramid's layout, and which texels a pixel sees with which weight.
 //!
-//! A lookup is linear in the texture, so it is stored as a sparse matrix over the pyramid: the forward pass multiplies by
-//! it, the adjoint by its transpose. Both are gathers in a fixed order, so that gradients are reproducible.
+//! A lookup is linear in the texture, so it is stored as a sparse matrix over the pyramid: the forward pass multiplies
+//! by it, the adjoint by its transpose. Both are gathers in a fixed order, so that gradients are reproducible.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat2, Vec2, Vec3};
@@ -22,8 +22,8 @@ pub struct Level {
     pub height: usize,
 }
 
-/// The mip pyramid of an atlas: level 0 is the atlas, each next level halves it (rounding up). A coarse texel is the mean
-/// of its valid children, so that the empty space between charts does not bleed in.
+/// The mip pyramid of an atlas: level 0 is the atlas, each next level halves it (rounding up). A coarse texel is the
+/// mean of its valid children, so that the empty space between charts does not bleed in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pyramid {
     /// From finest to 1×1.
@@ -74,7 +74,8 @@ impl Pyramid {
         })
     }
 
-    /// Bilinear taps at `uv` on one level: up to four `(texel, weight)`, valid texels only, weights summing to 1 (or none).
+    /// Bilinear taps at `uv` on one level: up to four `(texel, weight)`, valid texels only, weights summing to 1 (or
+    /// none).
     pub fn bilinear(&self, level: usize, uv: Vec2) -> Vec<Tap> {
         let l = self.levels[level];
         let p = uv * Vec2::new(l.width as f32, l.height as f32) - 0.5;
@@ -175,8 +176,8 @@ impl<T> Rows<T> {
 }
 
 impl Rows {
-    /// The transpose of a matrix with `columns` columns: its row `j` lists the rows of `self` that have an entry in column
-    /// `j`, ascending.
+    /// The transpose of a matrix with `columns` columns: its row `j` lists the rows of `self` that have an entry in
+    /// column `j`, ascending.
     pub fn transposed(&self, columns: usize) -> Rows {
         let mut offsets = vec![0u32; columns + 1];
         self.taps.iter().for_each(|tap| offsets[tap.texel as usize + 1] += 1);
@@ -195,9 +196,10 @@ impl Rows {
         Rows { offsets, taps }
     }
 
-    /// Footprints of the listed pixels of a view, a row each. `fine` is the view [`Camera::supersampled`] by `factor`, `hit` tells
-    /// its primary hits by pixel: a pixel of the view sees the mean of its factor² trilinear sub-pixel footprints, as box-filtered images do.
-    /// Sub-pixels without a hit are left out; a pixel without any gets an empty row.
+    /// Footprints of the listed pixels of a view, a row each. `fine` is the view [`Camera::supersampled`] by `factor`,
+    /// `hit` tells its primary hits by pixel: a pixel of the view sees the mean of its factor² trilinear sub-pixel
+    /// footprints, as box-filtered images do. Sub-pixels without a hit are left out; a pixel without any gets an empty
+    /// row.
     pub fn of_pixels(
         pyramid: &Pyramid,
         mesh: &Mesh,
@@ -333,4 +335,52 @@ fn uv_differentials(mesh: &Mesh, camera: &Camera, hit: &Hit, x: f32, y: f32) -> 
         (ub - ua) * bary.x + (uc - ua) * bary.y
     };
     (step(on_plane(camera.direction(x + 1.0, y))), step(on_plane(camera.direction(x, y + 1.0))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cpu::lookup::reduce;
+
+    /// A row of four texels that hold 0, 1, 2 and 3.
+    fn ramp(taps: &[Tap]) -> f32 {
+        taps.iter().map(|tap| tap.texel as f32 * tap.weight).sum()
+    }
+
+    #[test]
+    fn texels_hold_what_is_at_their_centres() {
+        let pyramid = Pyramid::new(4, 1, &[true; 4]);
+        for (u, expected) in [(0.375, 1.0), (0.5, 1.5), (0.8125, 2.75), (0.0, 0.0), (1.0, 3.0)] {
+            let found = ramp(&pyramid.bilinear(0, Vec2::new(u, 0.5)));
+            assert!((found - expected).abs() < 1e-6, "{found} at {u}; expected {expected}");
+        }
+    }
+
+    #[test]
+    fn a_footprint_as_wide_as_a_levels_texels_is_looked_up_there() {
+        let pyramid = Pyramid::new(4, 1, &[true; 4]);
+        let share = |width: f32, level: usize| -> f32 {
+            let Level { offset, width: columns, height } = pyramid.levels[level];
+            let of_level = |tap: &&Tap| (offset..offset + columns * height).contains(&(tap.texel as usize));
+            pyramid.trilinear(Vec2::new(0.3, 0.5), width).iter().filter(of_level).map(|tap| tap.weight).sum()
+        };
+        for (width, shares) in
+            [(0.1, [1.0, 0.0, 0.0]), (1.0, [1.0, 0.0, 0.0]), (2.0, [0.0, 1.0, 0.0]), (9.0, [0.0, 0.0, 1.0])]
+        {
+            assert_eq!([0, 1, 2].map(|level| share(width, level)), shares, "{width} texels wide");
+        }
+        let between = std::f32::consts::SQRT_2;
+        assert!((share(between, 0) - 0.5).abs() < 1e-6 && (share(between, 1) - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn coarse_texels_are_means_of_all_valid_texels_below() {
+        // A quarter with one valid texel, which holds 4, beside three that are valid throughout and hold 0.
+        let valid: Vec<bool> = (0..16).map(|i| i == 0 || i % 4 >= 2 || i / 4 >= 2).collect();
+        let texture: Vec<f64> =
+            (0..16).map(|i| if i == 0 { 4.0 } else { 9.0 * f64::from(u8::from(!valid[i])) }).collect();
+        let pyramid = Pyramid::new(4, 4, &valid);
+        let all = reduce(&pyramid, &texture, 1, pyramid.levels.len());
+        assert!((all[all.len() - 1] - 4.0 / 13.0).abs() < 1e-7, "{}", all[all.len() - 1]);
+    }
 }

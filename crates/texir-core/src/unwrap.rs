@@ -42,8 +42,8 @@ pub(crate) struct Charted {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Unwraps surfaces, of positions and triangles, into one atlas of `columns`, [`SMALLEST_SIDE`] or more, and at most as many rows; `None` where their
-/// charts are too many for it.
+/// Unwraps surfaces, of positions and triangles, into one atlas of `columns`, [`SMALLEST_SIDE`] or more, and at most as
+/// many rows; `None` where their charts are too many for it.
 pub(crate) fn unwrap(
     surfaces: &[(&[Vec3], &[[u32; 3]])],
     columns: usize,

@@ -39,7 +39,8 @@ pub struct GpuBackend {
 }
 
 impl GpuBackend {
-    /// Uploads the scene, which others may share. The device's queue is used from the calling thread, and only during calls.
+    /// Uploads the scene, which others may share. The device's queue is used from the calling thread, and only during
+    /// calls.
     pub fn new(gpu: &Gpu, scene: impl Into<Arc<Scene>>) -> Result<Self> {
         Self::with_hierarchy(gpu, scene, Hierarchy::best(gpu))
     }
@@ -194,6 +195,7 @@ impl Backend for GpuBackend {
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
+        check::specular_tables(sampling)?;
         countable(pixels.len())?;
         self.pass("specular_table", |b| {
             specular_table::run(

@@ -1,6 +1,6 @@
-//! Work in pieces that take about a tenth of a second each, whatever the device: a longer dispatch freezes a desktop, and
-//! its driver ends it after a few seconds. Between pieces, progress is reported and cancellation honoured. How work is
-//! cut never changes a result, as every item's samples depend on the item alone.
+//! Work in pieces that take about a tenth of a second each, whatever the device: a longer dispatch freezes a desktop,
+//! and its driver ends it after a few seconds. Between pieces, progress is reported and cancellation honoured. How work
+//! is cut never changes a result, as every item's samples depend on the item alone.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -68,8 +68,8 @@ impl GatherShape {
     }
 }
 
-/// How many rays the next dispatch of a kernel may hold. Kernels do not share it: a ray that ends where it starts, as most of a
-/// projection's do, says nothing about one through the whole scene.
+/// How many rays the next dispatch of a kernel may hold. Kernels do not share it: a ray that ends where it starts, as
+/// most of a projection's do, says nothing about one through the whole scene.
 struct Pace(f64);
 
 impl Default for Pace {
@@ -127,8 +127,8 @@ impl Context {
         self.gpu.kernel(Spec { shader, entry, variant, constant })
     }
 
-    /// Records a compute pass, submits it and waits. A pass that the device refuses is an error here: it must not be taken for a
-    /// fast one.
+    /// Records a compute pass, submits it and waits. A pass that the device refuses is an error here: it must not be
+    /// taken for a fast one.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         self.gpu.guarded("a dispatch", || {
             let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
@@ -144,8 +144,8 @@ impl Context {
         self.paces.clear();
     }
 
-    /// Dispatches `workgroups` of a kernel, which trace `rays` rays, and waits; the size of its next dispatch follows from the time
-    /// that it took.
+    /// Dispatches `workgroups` of a kernel, which trace `rays` rays, and waits; the size of its next dispatch follows
+    /// from the time that it took.
     pub fn trace(&mut self, kernel: &Kernel, groups: &[wgpu::BindGroup], workgroups: usize, rays: u64) -> Result<()> {
         self.timed(kernel, rays, |pass| kernel.record(pass, groups, workgroups))
     }
@@ -191,7 +191,8 @@ impl Context {
         let span = shape.lanes * shape.rays;
         let mut first = 0;
         while first < items {
-            // What one dispatch of the fastest technique holds; those of slower ones, and of one that has become slow, hold less of it.
+            // What one dispatch of the fastest technique holds; those of slower ones, and of one that has become slow,
+            // hold less of it.
             let longest = |technique: usize| u64::from(samples[technique].min(span));
             let at_once = |technique| self.items(steps.kernel(technique), longest(technique));
             let most = (0..TECHNIQUES).filter(|&t| samples[t] > 0).map(at_once).max().unwrap_or(1);
@@ -249,7 +250,8 @@ pub(crate) trait Gathering {
 mod tests {
     use super::*;
 
-    /// Seconds that dispatches of 32-ray items take on a device of so many rays per second, which `speed` gives by dispatch.
+    /// Seconds that dispatches of 32-ray items take on a device of so many rays per second, which `speed` gives by
+    /// dispatch.
     fn durations(dispatches: usize, speed: impl Fn(usize) -> f64) -> Vec<f64> {
         let mut pace = Pace::default();
         let take = |number| {

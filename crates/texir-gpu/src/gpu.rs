@@ -23,8 +23,8 @@ const PATIENCE: Duration = Duration::from_millis(1);
 /// A hundred times what a dispatch should take: a wait as long as that may be one for a device that was lost.
 const TOO_LONG: Duration = Duration::from_secs(10);
 
-/// The instance of [`Gpu::headless`], which makes one device at a time: drivers have crashed where several threads did so at
-/// once (NVIDIA's: gfx-rs/wgpu#5930 and #10234).
+/// The instance of [`Gpu::headless`], which makes one device at a time: drivers have crashed where several threads did
+/// so at once (NVIDIA's: gfx-rs/wgpu#5930 and #10234).
 fn instance() -> &'static Mutex<wgpu::Instance> {
     static INSTANCE: OnceLock<Mutex<wgpu::Instance>> = OnceLock::new();
     INSTANCE.get_or_init(|| {
@@ -40,10 +40,11 @@ pub fn required_features() -> wgpu::Features {
     wgpu::Features::empty()
 }
 
-/// The limits to request for a device that runs the kernels on as large a scene as the adapter takes: wgpu's defaults, with those that bound the size of a scene
-/// and its textures raised to what the adapter has (the default of 128 MiB per storage binding is too small for scans), and
-/// the number of storage buffers too (gathers that sample the lights bind ten, the default is eight). A device with wgpu's defaults and
-/// ten storage buffers per stage is enough for small scenes.
+/// The limits to request for a device that runs the kernels on as large a scene as the adapter takes: wgpu's defaults,
+/// with those that bound the size of a scene and its textures raised to what the adapter has (the default of 128 MiB
+/// per storage binding is too small for scans), and the number of storage buffers too (gathers that sample the lights
+/// bind ten, the default is eight). A device with wgpu's defaults and ten storage buffers per stage is enough for small
+/// scenes.
 pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
     let best = adapter.limits();
     wgpu::Limits {
@@ -75,8 +76,8 @@ fn missing(limits: &wgpu::Limits) -> Option<String> {
 
 impl Gpu {
     /// Makes a device without a window. Of several adapters, discrete GPUs come before integrated ones and those before
-    /// software; `adapter` keeps only those whose name contains it (case does not matter). A program needs one, and clones of
-    /// it: NVIDIA's driver can hang where one of several devices is dropped while others work.
+    /// software; `adapter` keeps only those whose name contains it (case does not matter). A program needs one, and
+    /// clones of it: NVIDIA's driver can hang where one of several devices is dropped while others work.
     pub fn headless(adapter: Option<&str>) -> Result<Self> {
         let instance = instance().lock().unwrap_or_else(PoisonError::into_inner);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
@@ -108,10 +109,10 @@ impl Gpu {
         Self::from_device(device, queue)
     }
 
-    /// Borrows a host program's device and queue (both are handles). Make the device with [`required_limits`]; one that the
-    /// kernels do not run on is an error that names the limits. While a backend works, poll the device and wait for it as you
-    /// like, but not with a time limit: wgpu up to 30.0.2 panics where another thread polls meanwhile (gfx-rs/wgpu#9958).
-    /// Callbacks of yours may be called by the thread of the backend.
+    /// Borrows a host program's device and queue (both are handles). Make the device with [`required_limits`]; one that
+    /// the kernels do not run on is an error that names the limits. While a backend works, poll the device and wait for
+    /// it as you like, but not with a time limit: wgpu up to 30.0.2 panics where another thread polls meanwhile
+    /// (gfx-rs/wgpu#9958). Callbacks of yours may be called by the thread of the backend.
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
         match missing(&device.limits()) {
@@ -197,9 +198,9 @@ impl Gpu {
         };
         let start = Instant::now();
         loop {
-            // No wait of wgpu's serves: one without a limit keeps the host program from presenting, and one with a limit
-            // panics where another thread polls the same device (gfx-rs/wgpu#9958). But only waits are sure to end where a
-            // device is lost.
+            // No wait of wgpu's serves: one without a limit keeps the host program from presenting, and one with a
+            // limit panics where another thread polls the same device (gfx-rs/wgpu#9958). But only waits are sure to
+            // end where a device is lost.
             let ask = match start.elapsed() < TOO_LONG {
                 true => wgpu::PollType::Poll,
                 false => wgpu::PollType::Wait { submission_index: None, timeout: None },
@@ -214,8 +215,8 @@ impl Gpu {
     }
 }
 
-/// Lets others run before the device is asked again, after so long a wait: short waits are not made much longer, and long ones
-/// take no processor time.
+/// Lets others run before the device is asked again, after so long a wait: short waits are not made much longer, and
+/// long ones take no processor time.
 fn pause(waited: Duration) {
     if waited < PATIENCE / 8 {
         std::thread::yield_now();

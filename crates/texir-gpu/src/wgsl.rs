@@ -1,9 +1,9 @@
 //! WGSL sources, how they are composed, and what naga knows of the result.
 //!
 //! `#import name` on a line of its own pulls in `shared/name.wgsl`, once. Some names are stand-ins, for which a
-//! [`Variant`] chooses the module: that keeps a choice out of the compiled kernel altogether. Messages name the file and
-//! line that a piece came from. With the environment variable `TEXIR_DUMP_WGSL=DIR`, every composed source is written
-//! there.
+//! [`Variant`] chooses the module: that keeps a choice out of the compiled kernel altogether. Messages name the file
+//! and line that a piece came from. With the environment variable `TEXIR_DUMP_WGSL=DIR`, every composed source is
+//! written there.
 
 use std::path::Path;
 

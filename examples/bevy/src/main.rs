@@ -1,11 +1,12 @@
-//! A scene lit by its lightmap alone: what `texir bake scene.glb --profile bevy -o out/map.ktx2` made, drawn by Bevy into a PNG.
+//! A scene lit by its lightmap alone: what `texir bake scene.glb --profile bevy -o out/map.ktx2` made, drawn by Bevy
+//! into a PNG.
 //!
 //! ```sh
 //! cargo run -- out/map.glb out/map.ktx2 picture.png 2,1.6,3 0,1,0 9.7
 //! ```
 //!
-//! The last three are where the camera is, what it looks at (metres, +Y up), and its exposure in EV100: 9.7 is a lit room in
-//! nits; -0.26 shows a radiance of 1 as it is, for scenes of no particular unit.
+//! The last three are where the camera is, what it looks at (metres, +Y up), and its exposure in EV100: 9.7 is a lit
+//! room in nits; -0.26 shows a radiance of 1 as it is, for scenes of no particular unit.
 
 use std::time::Duration;
 

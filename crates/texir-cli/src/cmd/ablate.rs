@@ -158,7 +158,8 @@ impl Ablate {
         Ok(Outcome { name: variant.name, evaluation })
     }
 
-    /// Whether this version made what is in `out` from this capture as it lies in its folder, and no file of that was written since.
+    /// Whether this version made what is in `out` from this capture as it lies in its folder, and no file of that was
+    /// written since.
     fn is_of_this_capture(&self, out: &Path, capture: &Capture) -> bool {
         let written = |path: &Path| path.metadata().and_then(|known| known.modified()).ok();
         let made = written(&out.join(RUN));

@@ -17,6 +17,7 @@ use texir_core::image_io::{BRIGHTEST_HALF, Rows, write_gray};
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
+use texir_core::outputs::HDR_TEXTURE;
 use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
@@ -36,15 +37,15 @@ pub struct Bake {
     /// HDR texture: the radiance that leaves every texel of the mesh
     #[arg(long, value_name = "FILE")]
     tbl: Option<PathBuf>,
-    /// Irradiance map (.exr, .hdr or .ktx2): ∫ L cosθ dω in full, not divided by π unless --profile says so; of an authored
-    /// scene, the scene with the map's coordinates goes beside it, as NAME.glb
+    /// Irradiance map (.exr, .hdr or .ktx2): ∫ L cosθ dω in full, not divided by π unless --profile says so; of an
+    /// authored scene, the scene with the map's coordinates goes beside it, as NAME.glb
     #[arg(short, long, value_name = "FILE", default_value = "irradiance.exr")]
     output: PathBuf,
     /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
     #[arg(long, value_name = "N")]
     size: Option<usize>,
-    /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded up to a
-    /// multiple of four unless --no-denoise
+    /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded
+    /// up to a multiple of four unless --no-denoise
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=MOST_RAYS))]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
@@ -53,23 +54,24 @@ pub struct Bake {
     /// Write the standard error of every texel's luminance, before denoising, as NAME_stderr.exr beside the map
     #[arg(long)]
     stderr: bool,
-    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them; best with --no-denoise, as
-    /// denoising takes some of what few rays find
+    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them; best with
+    /// --no-denoise, as denoising takes some of what few rays find
     #[arg(long)]
     cosine_only: bool,
     /// Leave the noise in: unbiased, for measuring and for many rays
     #[arg(long)]
     no_denoise: bool,
-    /// Denoise with Intel's Open Image Denoise, which sees the map as a picture, instead of with neighbours on the surface
+    /// Denoise with Intel's Open Image Denoise, which sees the map as a picture, instead of with neighbours on the
+    /// surface
     #[cfg(feature = "oidn")]
     #[arg(long, conflicts_with_all = ["no_denoise", "max_memory"])]
     oidn: bool,
-    /// Give texels just inside other geometry (the rim of a floor under a cupboard) their lit neighbour's value, so that they do
-    /// not darken what is seen beside them
+    /// Give texels just inside other geometry (the rim of a floor under a cupboard) their lit neighbour's value, so
+    /// that they do not darken what is seen beside them
     #[arg(long)]
     fill_buried: bool,
-    /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the output, to
-    /// the same bits [default: all that the map needs]
+    /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the
+    /// output, to the same bits [default: all that the map needs]
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
     /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]
@@ -207,11 +209,16 @@ impl Bake {
         let map = Rows::new(size, |rows| {
             console.check()?;
             console.advance((rows.len() * size[0]) as u64);
+            let first = rows.start;
             let irradiance = solution.map_rows(texels, self.buried(), rows)?;
-            if !irradiance.iter().flatten().all(|v| v.is_finite()) {
-                return Err(Error::invalid(
-                    "some of the light is too strong for numbers; expected radiance below some 1e30",
-                ));
+            if let Some(i) = irradiance.iter().position(|e| !e.iter().all(|v| v.is_finite())) {
+                return Err(Error::invalid(format!(
+                    "the light that arrives at the texel in column {}, row {} is too strong for numbers: {:?}; expected radiance below \
+                     some 1e30",
+                    i % size[0],
+                    first + i / size[0],
+                    irradiance[i]
+                )));
             }
             let texels: Vec<[f32; 3]> = irradiance.into_iter().map(|e| e.map(|v| v * scale)).collect();
             if ends_at_half && texels.iter().flatten().any(|v| *v > BRIGHTEST_HALF) {
@@ -277,7 +284,9 @@ impl Bake {
         if self.input.is_dir() {
             let options = LoadOptions { mesh: None, tbl: self.tbl.clone() };
             let capture = capture::load(&self.input, &options, session.console)?;
-            self.check_outputs(&capture.files())?;
+            // A map of irradiance by this name would be read as the capture's own light.
+            let texture = capture.root.join(HDR_TEXTURE);
+            self.check_outputs(&[&capture.files()[..], &[texture]].concat())?;
             let scene = Scene::new(capture.mesh.clone())?;
             let light = match &capture.tbl {
                 Some(texture) => Light::Texture(capture::Tbl::read(texture, session.console)?.radiance),

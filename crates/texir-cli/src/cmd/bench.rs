@@ -124,7 +124,8 @@ impl Bench {
     }
 }
 
-/// Splits the longest edges, again and again, until there are so many triangles: all of about one size, on the same surface.
+/// Splits the longest edges, again and again, until there are so many triangles: all of about one size, on the same
+/// surface.
 fn tessellate(mesh: &mut Mesh, triangles: usize) {
     let longest = |mesh: &Mesh, t: u32| {
         let corners = mesh.corners(t);

@@ -19,15 +19,16 @@ pub struct CorrectionArgs {
     /// Bring the training views to one exposure and white balance first
     #[arg(long)]
     solve_exposure: bool,
-    /// Undo the blur of the training views' images first, as wide as views of one surface from near and from far show it to be
+    /// Undo the blur of the training views' images first, as wide as views of one surface from near and from far show
+    /// it to be
     #[arg(long)]
     sharpen: bool,
 }
 
 impl CorrectionArgs {
-    /// Corrects the views, exposure first: poses are found by comparing radiance, and blur by comparing what is in place. An HDR
-    /// texture of the capture is dropped where views change, because it was made of them as they were. Returns what was
-    /// corrected; `None` when nothing is asked for.
+    /// Corrects the views, exposure first: poses are found by comparing radiance, and blur by comparing what is in
+    /// place. An HDR texture of the capture is dropped where views change, because it was made of them as they were.
+    /// Returns what was corrected; `None` when nothing is asked for.
     pub fn apply(&self, capture: &mut Capture, session: &Session<'_>) -> Result<Option<Corrections>, Failure> {
         if !self.solve_exposure && !self.refine_poses && !self.sharpen {
             return Ok(None);

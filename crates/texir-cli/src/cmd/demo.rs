@@ -1,5 +1,6 @@
 //! `texir demo`: a synthetic flat, made and path-traced here, then fitted as any capture would be.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -32,6 +33,11 @@ const TRAIN_PER_NOVEL: usize = 3;
 
 /// Rays per pixel of the evaluation: half the protocol's, which is enough to look at.
 const RAYS: u32 = 128;
+
+/// Panoramas that a demo may have, more than anyone has taken of a flat,
+const VIEWS: RangeInclusive<usize> = 1..=1000;
+/// and by how much more than moderately its roughness may vary.
+const VARIATION: RangeInclusive<f32> = 0.0..=10.0;
 
 /// Arguments of `texir demo`.
 #[derive(Debug, Args)]
@@ -78,6 +84,15 @@ impl Demo {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
         session.config.check_set()?;
+        if !VIEWS.contains(&self.views) {
+            let (least, most) = (VIEWS.start(), VIEWS.end());
+            return Err(Failure::new(format!("--views is {}; expected {least} to {most}", self.views)));
+        }
+        if !VARIATION.contains(&self.roughness_variation) {
+            let (least, most) = (VARIATION.start(), VARIATION.end());
+            let value = self.roughness_variation;
+            return Err(Failure::new(format!("--roughness-variation is {value}; expected {least} to {most}")));
+        }
         check_replaceable(&folder)?;
         let of_flat = self.of_flat(session);
         let flat = Flat::generate(&of_flat)?;

@@ -30,9 +30,9 @@ pub struct Eval {
     /// Capture with the truth [default: the one that was fitted]
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
-    /// Compare through this mesh instead of the fit's, such as the true one where a scan was fitted: it must have the same
-    /// triangles and coordinates. The figures then say what the textures are worth, without what the scan's geometry costs;
-    /// metrics.json stays as it is
+    /// Compare through this mesh instead of the fit's, such as the true one where a scan was fitted: it must have the
+    /// same triangles and coordinates. The figures then say what the textures are worth, without what the scan's
+    /// geometry costs; metrics.json stays as it is
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
     /// Rays per pixel, for its highlights; at least 96

@@ -37,7 +37,8 @@ pub struct Fit {
     /// Look for segments of bare metal, which takes twice the light samples; without, everything is a dielectric
     #[arg(long)]
     metallic: bool,
-    /// What the fit may have in memory, such as 2GiB; views are read at a lower resolution to keep to it [default: 8GiB]
+    /// What the fit may have in memory, such as 2GiB; views are read at a lower resolution to keep to it [default:
+    /// 8GiB]
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<ByteSize>,
     /// Leave out the evaluation and the report

@@ -14,7 +14,8 @@ use crate::failure::Failure;
 /// Arguments of `texir hdr`.
 #[derive(Debug, Args)]
 pub struct Hdr {
-    /// The exposures of one view, JPEG, PNG or TIFF of 8 or 16 bits, from one tripod position; the order does not matter
+    /// The exposures of one view, JPEG, PNG or TIFF of 8 or 16 bits, from one tripod position; the order does not
+    /// matter
     #[arg(required = true, num_args = 2..)]
     shots: Vec<PathBuf>,
     /// The linear image, OpenEXR

@@ -1,5 +1,5 @@
-//! `texir inspect`: a dry run. What was found in a capture and what is assumed of it, whether its cameras and its atlas make
-//! sense, and what a fit will cost.
+//! `texir inspect`: a dry run. What was found in a capture and what is assumed of it, whether its cameras and its atlas
+//! make sense, and what a fit will cost.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -68,8 +68,8 @@ struct Findings {
     atlas: AtlasFindings,
     views: Vec<ViewFindings>,
     known: Known,
-    /// Variance of the images' point spread beyond that of a pixel, square pixels; absent where no surface is seen from near and
-    /// from far, and of what is no capture yet.
+    /// Variance of the images' point spread beyond that of a pixel, square pixels; absent where no surface is seen from
+    /// near and from far, and of what is no capture yet.
     blur: Option<f32>,
     /// The most frequent first.
     classes: Vec<ClassFindings>,

@@ -34,8 +34,8 @@ use crate::failure::Failure;
 pub enum Command {
     /// Make a synthetic flat, path-trace it and fit it: everything at once, without any input
     Demo(demo::Demo),
-    /// Dry run: what is found in a capture (or in what import would make one of) and assumed of it, checks of cameras and
-    /// atlas, cost of a fit
+    /// Dry run: what is found in a capture (or in what import would make one of) and assumed of it, checks of cameras
+    /// and atlas, cost of a fit
     Inspect(inspect::Inspect),
     /// Merge bracketed exposures of one view to a linear image
     Hdr(hdr::Hdr),

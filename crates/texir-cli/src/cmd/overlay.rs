@@ -1,5 +1,5 @@
-//! Pictures of the views with the mesh's edges drawn over them: where they lie beside the photo's, pose, scale or mesh is
-//! wrong.
+//! Pictures of the views with the mesh's edges drawn over them: where they lie beside the photo's, pose, scale or mesh
+//! is wrong.
 
 use std::path::Path;
 

@@ -24,7 +24,8 @@ pub struct Tbl {
     /// The HDR texture; its coverage mask goes beside it, as NAME_mask.png
     #[arg(short, long, value_name = "FILE", default_value = "hdr_texture.exr")]
     output: PathBuf,
-    /// Side of the texture, texels [default: 1024, or 2048 where the training views have more pixels than that has texels]
+    /// Side of the texture, texels [default: 1024, or 2048 where the training views have more pixels than that has
+    /// texels]
     #[arg(long, value_name = "N")]
     size: Option<usize>,
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 use serde_json::Value;
 use texir_core::glb::{Materials, Up, write_glb};
-use texir_core::image_io::read_rgb;
+use texir_core::image_io::{read_gray, read_rgb};
 use texir_core::lightmap::write_lightmap;
 use texir_core::mesh::Mesh;
 use texir_core::raster::{Gray, Rgb};
@@ -59,15 +59,51 @@ fn an_authored_scene_is_baked_for_an_engine() {
     assert!(summary["remainder"].as_f64().unwrap() <= 0.005 && summary["series"].as_array().unwrap().len() > 1);
     assert!(folder.path().join("out/full.glb").is_file());
 
-    bake("bevy.hdr", &["--profile", "bevy"]);
-    let bevy = read_rgb(folder.path().join("out/bevy.hdr")).unwrap();
-    let ratio = floor(&full) / floor(&bevy);
-    assert!((ratio / std::f32::consts::PI - 1.0).abs() < 0.01, "E / texel is {ratio}");
+    for (profile, expected) in [
+        ("bevy", std::f32::consts::PI),
+        ("godot", std::f32::consts::PI),
+        ("unity", std::f32::consts::PI),
+        ("three", 1.0),
+    ] {
+        bake("engine.hdr", &["--profile", profile]);
+        let engine = read_rgb(folder.path().join("out/engine.hdr")).unwrap();
+        let ratio = floor(&full) / floor(&engine);
+        assert!((ratio / expected - 1.0).abs() < 0.01, "{profile}: E / texel is {ratio}");
+    }
+    // Standard errors are in the unit of the map.
+    let errors = |name: &str, profile: &[&str]| {
+        bake(name, &[&["--stderr", "--bounces", "0"], profile].concat());
+        let map = read_gray(folder.path().join("out").join(name.replace(".exr", "_stderr.exr"))).unwrap();
+        map.data.iter().sum::<f32>()
+    };
+    let ratio = errors("a.exr", &[]) / errors("b.exr", &["--profile", "bevy"]);
+    assert!((ratio / std::f32::consts::PI - 1.0).abs() < 1e-3, "standard errors' ratio is {ratio}");
 
     bake("hubs.hdr", &["--profile", "moz", "--bounces", "0"]);
     let glb = std::fs::read(folder.path().join("out/hubs.glb")).unwrap();
     assert!(String::from_utf8_lossy(&glb).contains("\"MOZ_lightmap\""));
     bake("map.ktx2", &[]);
+}
+
+#[test]
+fn an_environment_shines_in_the_unit_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, sky, output] = ["scene.glb", "sky.hdr", "out.exr"].map(|name| folder.path().join(name));
+    write_scene(&scene, 0.0);
+    write_lightmap(&sky, &Rgb::filled(8, 4, [1.0; 3])).unwrap();
+    let mean = |more: &[&str]| {
+        let with = ["--environment".as_ref(), sky.as_os_str(), "-o".as_ref(), output.as_os_str()];
+        let how = ["--size", "32", "--spp", "64", "--backend", "cpu", "--bounces", "0"].map(AsRef::as_ref);
+        let more: Vec<_> = more.iter().map(AsRef::as_ref).collect();
+        succeed(&[&["bake".as_ref(), scene.as_os_str()], &with[..], &how[..], &more].concat());
+        floor(&read_rgb(&output).unwrap())
+    };
+    // Of a sky of radiance 1, all of π but the fifth that the square above hides, on average.
+    let expected = 0.8 * std::f32::consts::PI;
+    for (more, nits) in [(&[][..], 1.0), (&["--environment-nits", "250"], 250.0)] {
+        let found = mean(more);
+        assert!((found / (nits * expected) - 1.0).abs() < 0.1, "{found} for {expected} times {nits}");
+    }
 }
 
 #[test]
@@ -84,7 +120,7 @@ fn scenes_that_cannot_be_baked_say_why() {
     bake(&out.with_extension("png"), &[]).complains(&["out.png", ".ktx2"]);
     bake(&scene.with_extension("exr"), &[]).complains(&["scene.glb", "--output"]);
     bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
-    bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance"]);
+    bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance is NaN"]);
     for share in ["2", "1", "0", "nan"] {
         bake(&out, &["--error", share]).complains(&["--error is", "above 0 and below 1"]);
     }

@@ -1,5 +1,5 @@
-//! What cannot be used is refused with its file, its field and a way out, before anything is written. What can be repaired
-//! is, loudly.
+//! What cannot be used is refused with its file, its field and a way out, before anything is written. What can be
+//! repaired is, loudly.
 
 use std::ffi::OsStr;
 

@@ -10,7 +10,8 @@ use std::time::Duration;
 use crate::room::Capture;
 use crate::texir::{command, succeed};
 
-/// Stops a fit with `settings` as soon as `step` is kept, takes it up again, and compares with a fit that was not stopped.
+/// Stops a fit with `settings` as soon as `step` is kept, takes it up again, and compares with a fit that was not
+/// stopped.
 fn interrupt(settings: &[&str], step: &str) -> (Capture, PathBuf) {
     let capture = Capture::new();
     let (input, out, whole) = (capture.path(), capture.out("out"), capture.out("whole"));

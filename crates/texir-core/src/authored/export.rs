@@ -1,8 +1,8 @@
-//! The baked scene as a GLB: its surfaces in world space with the lightmap's coordinates in TEXCOORD_1, its materials and
-//! images as they were. Lights, cameras and animations are left out: the light is in the map.
+//! The baked scene as a GLB: its surfaces in world space with the lightmap's coordinates in TEXCOORD_1, its materials
+//! and images as they were. Lights, cameras and animations are left out: the light is in the map.
 //!
-//! Engines look for a lightmap in TEXCOORD_1. Where that set of the file is another, it and those after it move up by one,
-//! and the materials' references with them.
+//! Engines look for a lightmap in TEXCOORD_1. Where that set of the file is another, it and those after it move up by
+//! one, and the materials' references with them.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -49,10 +49,7 @@ pub fn write_lightmapped_glb(
     let root = &mut builder.root;
     (root.textures, root.samplers) = (from.textures, from.samplers);
     let moved = model.lightmap_set != Some(LIGHTMAP_SET);
-    let materials = from.materials.into_iter().map(|material| with_sets(material, moved));
-    root.materials = materials
-        .collect::<serde_json::Result<_>>()
-        .map_err(|e| Error::file(source, format!("a material cannot be written again: {e}")))?;
+    root.materials = materials(source, from.materials, moved)?;
     let mut default = None;
     if let Some(irradiance) = attached {
         // What has no material has nothing to carry a lightmap: it takes glTF's default material in words.
@@ -91,11 +88,34 @@ fn extensions(mut json: Value) -> BTreeSet<String> {
     found
 }
 
+/// The materials of the file `source`, their sets of coordinates [moved](with_sets) if so. Errors on numbers that single
+/// precision does not hold.
+pub(super) fn materials(source: &Path, all: Vec<Material>, moved: bool) -> Result<Vec<Material>> {
+    let of_material = |(i, material): (usize, Material)| {
+        with_sets(&material, moved).map_err(|e| {
+            let mut beyond = Vec::new();
+            if let Ok(mut json) = serde_json::to_value(&material) {
+                // What is no number has no form in JSON.
+                for_fields(&mut json, &mut |name, value| {
+                    let none = |value: &Value| value.is_null() && name != "texCoord";
+                    if none(value) || value.as_array().is_some_and(|values| values.iter().any(none)) {
+                        beyond.push(name.to_owned());
+                    }
+                });
+            }
+            let what = format!("materials[{i}]: {}: {e}; expected numbers of single precision", beyond.join(", "));
+            Error::file(source, what)
+        })
+    };
+    all.into_iter().enumerate().map(of_material).collect()
+}
+
 /// The material, its textures looked up one set further on where sets have `moved` up, except for those of TEXCOORD_0.
 ///
 /// Every `texCoord` of a material is a set: that of a texture, of any extension, and of `KHR_texture_transform`, which
-/// replaces it. One that replaces none is written as null by its serializer, which is no number of a set: it gets its texture's.
-fn with_sets(material: Material, moved: bool) -> serde_json::Result<Material> {
+/// replaces it. One that replaces none is written as null by its serializer, which is no number of a set: it gets its
+/// texture's.
+fn with_sets(material: &Material, moved: bool) -> serde_json::Result<Material> {
     let mut json = serde_json::to_value(material)?;
     for_fields(&mut json, &mut |name, value| {
         let own = value.get("texCoord").and_then(Value::as_u64).unwrap_or(0);
@@ -109,8 +129,8 @@ fn with_sets(material: Material, moved: bool) -> serde_json::Result<Material> {
     serde_json::from_value(json)
 }
 
-/// Goes through all fields of a document, with their names, but for what applications keep for themselves: that follows rules of its
-/// own.
+/// Goes through all fields of a document, with their names, but for what applications keep for themselves: that follows
+/// rules of its own.
 fn for_fields(json: &mut Value, of: &mut impl FnMut(&str, &mut Value)) {
     match json {
         Value::Object(fields) => {
@@ -180,7 +200,8 @@ fn attach(path: &Path, builder: &mut Builder, irradiance: &Rgb) -> Result<()> {
     Ok(())
 }
 
-/// The type of an image by its first bytes, and of formats that glTF and its extensions do not know what the scene says.
+/// The type of an image by its first bytes, and of formats that glTF and its extensions do not know what the scene
+/// says.
 fn mime_type<'a>(file: &[u8], declared: Option<&'a str>) -> &'a str {
     match file {
         [0x89, b'P', b'N', b'G', ..] => "image/png",

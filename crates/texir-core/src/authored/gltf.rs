@@ -1,9 +1,8 @@
-//! Authored scenes from glTF and GLB: geometry with the lightmap's coordinates, Lambertian materials with their emission
-//! (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
+//! Authored scenes from glTF and GLB: geometry with the lightmap's coordinates, Lambertian materials with their
+//! emission (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
-//! Base colour is the albedo, metals included: what they reflect is taken for diffuse, and so, on request, what dielectrics reflect
-//! specularly. Alpha, vertex colours, skins and
-//! morph targets are left out, with a warning.
+//! Base colour is the albedo, metals included: what they reflect is taken for diffuse, and so, on request, what
+//! dielectrics reflect specularly. Alpha, vertex colours, skins and morph targets are left out, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::FRAC_PI_2;
@@ -15,6 +14,7 @@ use gltf::{Document, Material, Node, Semantic};
 use rayon::prelude::*;
 
 use super::Surfaces;
+use super::export::materials;
 use super::texture::{Colour, Footprint, Images, Texture, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
@@ -39,8 +39,8 @@ const FEW: f64 = 1e-3;
 /// Angles in files may be off by so many radians, from degrees with few digits.
 const ROUNDED: f32 = 1e-3;
 
-/// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only add gloss
-/// do not matter to what is Lambertian.
+/// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only
+/// add gloss do not matter to what is Lambertian.
 const LIGHTING: [geometry::Ignored; 6] = [
     ("KHR_materials_pbrSpecularGlossiness", "its colours are left out: convert materials to metallic-roughness"),
     ("KHR_materials_unlit", "such surfaces take light, reflect it and cast shadows: leave out those that must not"),
@@ -78,7 +78,8 @@ impl Part {
 pub enum Reflected {
     /// Base colour alone: surfaces are Lambertian.
     Diffusely,
-    /// What dielectrics reflect specularly as well, as if they sent it everywhere: [`DIELECTRIC_SPECULAR`] of uniform light.
+    /// What dielectrics reflect specularly as well, as if they sent it everywhere: [`DIELECTRIC_SPECULAR`] of uniform
+    /// light.
     InAll,
 }
 
@@ -112,8 +113,8 @@ pub struct Model {
 
 /// Reads a scene whose lightmap is to have `size` columns.
 ///
-/// Its coordinates are TEXCOORD_1 where that gives every surface a place of its own, otherwise TEXCOORD_0 where that does;
-/// otherwise the scene is unwrapped, into a map of `size` columns and at most as many rows.
+/// Its coordinates are TEXCOORD_1 where that gives every surface a place of its own, otherwise TEXCOORD_0 where that
+/// does; otherwise the scene is unwrapped, into a map of `size` columns and at most as many rows.
 pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, progress: &dyn Progress) -> Result<Model> {
     let path = path.as_ref();
     let Contents { document, buffers } = geometry::load(path)?;
@@ -150,6 +151,7 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
     let mut images = Images::default();
     let shading = shading(path, &document, reflected, |image, curve| images.place(path, image, &buffers, curve))?;
     // All come along into the baked scene: what cannot is to be known before the bake.
+    materials(path, document.as_json().materials.clone(), false)?;
     document.images().try_for_each(|image| encoded(path, &image, &buffers).map(drop))?;
     let mut model =
         Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
@@ -162,7 +164,8 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
 }
 
 impl Model {
-    /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in parts.
+    /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in
+    /// parts.
     pub fn memory(&self) -> u64 {
         let Mesh { positions, normals, uvs, triangles } = &self.mesh;
         let whole = size_of_val(&positions[..])

@@ -1,5 +1,5 @@
-//! Which coordinates a lightmap has: a set that the file brings, where it gives every surface a place of its own, or new
-//! ones.
+//! Which coordinates a lightmap has: a set that the file brings, where it gives every surface a place of its own, or
+//! new ones.
 
 use glam::{Vec2, Vec3};
 
@@ -16,7 +16,8 @@ const OVERLAP: f64 = 1e-3;
 const TEST_SIZE: usize = 2048;
 
 impl Model {
-    /// Chooses the lightmap's coordinates, and joins the parts. Says why, where the file brings coordinates for one that are not taken.
+    /// Chooses the lightmap's coordinates, and joins the parts. Says why, where the file brings coordinates for one
+    /// that are not taken.
     pub(super) fn lay_out(&mut self, size: usize, progress: &dyn Progress) -> Result<Option<String>> {
         let mut why_not = None;
         for set in [1, 0] {

@@ -1,11 +1,13 @@
 //! Light of scenes as their authors describe them: emissive surfaces, punctual lights, an environment, and all that
 //! bounces between Lambertian surfaces.
 //!
-//! `read_gltf` makes a `Model` of a glTF file (feature `files`); [`Surfaces`] hold what a renderer needs to know of it per texel of the
-//! lightmap, and can as well be filled by an engine from its own scene; [`irradiance`] solves the light.
+//! `read_gltf` makes a `Model` of a glTF file (feature `files`); [`Surfaces`] hold what a renderer needs to know of it
+//! per texel of the lightmap, and can as well be filled by an engine from its own scene; [`irradiance`] solves the
+//! light.
 //!
-//! Photometric: emission and environment are luminance in nits (cd/m²), intensities in candela, distant lights in lux, and
-//! irradiance comes out as illuminance in lux, all per linear RGB channel. Any other consistent set of units scales alike.
+//! Photometric: emission and environment are luminance in nits (cd/m²), intensities in candela, distant lights in lux,
+//! and irradiance comes out as illuminance in lux, all per linear RGB channel. Any other consistent set of units scales
+//! alike.
 
 use std::hash::Hash;
 
@@ -36,15 +38,13 @@ pub use self::series::Remainder;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
 pub use self::unlit::unlit;
+use crate::backend::BRIGHTEST;
 use crate::bake::{self, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-
-/// The strongest radiance that a scene may send out: of more, squares leave single precision.
-const BRIGHTEST: f32 = 1e15;
 
 /// What an authored scene emits and reflects, per texel of the lightmap, and the light that is not on its surfaces.
 #[derive(Clone, Debug)]

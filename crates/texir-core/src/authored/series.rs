@@ -1,7 +1,8 @@
 //! How far the series of bounces has come, as a whole and where it has come least far.
 //!
-//! A lamp-lit room beside a sunlit yard has a thousandth of the light, and needs all of its bounces: the sum over the map would end them
-//! after the yard's first. So the series is looked at square by square of the map as well, each by its own light.
+//! A lamp-lit room beside a sunlit yard has a thousandth of the light, and needs all of its bounces: the sum over the
+//! map would end them after the yard's first. So the series is looked at square by square of the map as well, each by
+//! its own light.
 
 use crate::bake::{Solution, Texels};
 use crate::error::Result;
@@ -40,7 +41,8 @@ impl Remainder {
 pub(super) struct Series {
     /// Mean of each over texels and channels.
     pub means: Vec<f64>,
-    /// The share that the last two had of all light until then, by square of the map; `None` where that is of few texels.
+    /// The share that the last two had of all light until then, by square of the map; `None` where that is of few
+    /// texels.
     shares: [Vec<Option<f64>>; 2],
 }
 

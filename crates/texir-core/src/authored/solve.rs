@@ -1,13 +1,13 @@
-//! The light of an authored scene as a Neumann series: E = Σ_k E_k, where E_0 is what arrives directly and E_{k+1} gathers
-//! what the surfaces make of E_k, TBL_{k+1} = albedo/π · E_k.
+//! The light of an authored scene as a Neumann series: E = Σ_k E_k, where E_0 is what arrives directly and E_{k+1}
+//! gathers what the surfaces make of E_k, TBL_{k+1} = albedo/π · E_k.
 
 use std::f32::consts::PI;
 use std::ops::Range;
 
+use super::Surfaces;
 use super::series::{Remainder, Series};
-use super::{BRIGHTEST, Surfaces};
 use crate::atlas::{BAND, bands};
-use crate::backend::{Backend, Gather};
+use crate::backend::{BRIGHTEST, Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
@@ -17,8 +17,8 @@ use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::rng::hash2;
 
-/// A bounce brings less light than the one before, so that fewer rays suffice: in proportion to its share, but not fewer
-/// than this share of the first gather's.
+/// A bounce brings less light than the one before, so that fewer rays suffice: in proportion to its share, but not
+/// fewer than this share of the first gather's.
 const FEWEST_RAYS: f64 = 1.0 / 16.0;
 
 /// Below this share of the scene's mean irradiance there is as good as no light: a crack lets as much through.
@@ -29,8 +29,8 @@ pub(super) const DARK: f32 = 0.01;
 pub struct Bounces {
     /// That of the first gather; later ones take fewer rays, as they bring less light.
     pub quality: Quality,
-    /// Bounces end when what the further ones would add is below this share of all light and, in all but a hundredth of the map, below
-    /// four times this share of what light there is.
+    /// Bounces end when what the further ones would add is below this share of all light and, in all but a hundredth of
+    /// the map, below four times this share of what light there is.
     pub tolerance: f32,
     /// Bounces end here even so; 0 leaves direct light alone.
     pub most: u32,
@@ -129,7 +129,8 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// E from surfaces of radiance `tbl`, with the lights in it, with a `share` of the rays; `bounce` draws other samples.
+    /// E from surfaces of radiance `tbl`, with the lights in it, with a `share` of the rays; `bounce` draws other
+    /// samples.
     fn gather(&mut self, (tbl, lights): (&Rgb, &Lights), bounce: u32, share: f64) -> Result<Solution> {
         // Two, of which errors are told, unless it was one from the start.
         let scaled = |n: u32| ((f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32).max(n.min(2));

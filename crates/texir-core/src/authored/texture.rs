@@ -1,4 +1,5 @@
-//! Colours of glTF materials: a factor times an image, made linear and averaged over what a texel of the lightmap shows of it.
+//! Colours of glTF materials: a factor times an image, made linear and averaged over what a texel of the lightmap shows
+//! of it.
 
 use std::borrow::Cow;
 use std::io::Cursor;
@@ -16,6 +17,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::image_io::{TransferCurve, limits};
+use crate::mesh_io::gltf as geometry;
 use crate::raster::Raster;
 use crate::surface::Hit;
 
@@ -45,7 +47,8 @@ impl Colour {
     }
 }
 
-/// What of a triangle a texel of the lightmap covers, or a part of a texel: a parallelogram in barycentric coordinates, (u, v) as in [`Hit`].
+/// What of a triangle a texel of the lightmap covers, or a part of a texel: a parallelogram in barycentric coordinates,
+/// (u, v) as in [`Hit`].
 pub(super) struct Footprint {
     centre: Vec2,
     /// Along the map's columns and along its rows.
@@ -60,7 +63,8 @@ impl Footprint {
         let cells = Mat2::from_cols(b - a, c - a);
         let area = 0.5 * cells.determinant().abs();
         let sides = if area == 0.0 { Mat2::ZERO } else { cells.inverse() };
-        // Most triangles go on in their neighbours. Where a chart ends, the cell's centre is as often outside, which only touches it.
+        // Most triangles go on in their neighbours. Where a chart ends, the cell's centre is as often outside, which
+        // only touches it.
         let ends = area < 1.0 || hit.t == 0.0;
         Self { centre: Vec2::new(hit.u, hit.v), sides: [sides.x_axis, sides.y_axis], ends }
     }
@@ -267,7 +271,8 @@ pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Da
             }
             None => {
                 let name = urlencoding::decode(uri).map_err(|e| failed(&e))?;
-                let file = path.parent().unwrap_or(Path::new("")).join(&*name);
+                let file = geometry::beside(path, &name);
+                geometry::check_is_file(&file).map_err(|what| failed(&format!("its file {name} {what}")))?;
                 let read = std::fs::read(&file).map(Cow::Owned);
                 read.map_err(|e| failed(&format!("{e}; expected it beside the scene: copy it there, or export a .glb")))
             }

@@ -10,8 +10,8 @@ const STEADY: f64 = 0.99;
 const NEARLY_WHITE: f32 = 0.95;
 
 impl Solved {
-    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where their number was
-    /// `asked` for, only that more of them would not help.
+    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where their
+    /// number was `asked` for, only that more of them would not help.
     pub fn unfinished(&self, model: &Model, tolerance: f32, asked: bool) -> Option<String> {
         let steady = is_steady(&self.series);
         // No tolerance at all asks for as many bounces as are allowed.

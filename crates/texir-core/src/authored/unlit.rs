@@ -23,8 +23,8 @@ const INSIDE: f32 = 0.25;
 /// A primitive is told of when this share of it is lit from behind alone.
 const SHARE: f32 = 0.1;
 
-/// What to tell the user of a `solution` that is black, or of double-sided materials whose light is behind them, or that shine and are
-/// in sight of something from behind.
+/// What to tell the user of a `solution` that is black, or of double-sided materials whose light is behind them, or
+/// that shine and are in sight of something from behind.
 ///
 /// Replaces the backend's TBL and environment.
 pub fn unlit(
@@ -76,8 +76,8 @@ struct Looked {
     shining: usize,
 }
 
-/// Texels of double-sided primitives, some of each, that shine or have less irradiance than `dark`, with the index of their primitive;
-/// and how many of each were looked at.
+/// Texels of double-sided primitives, some of each, that shine or have less irradiance than `dark`, with the index of
+/// their primitive; and how many of each were looked at.
 fn suspects(
     model: &Model,
     texels: &Texels<'_>,
@@ -112,8 +112,8 @@ fn suspects(
     Ok((points, looked))
 }
 
-/// The luminance of irradiance at points from surfaces and lamps, 0 inside objects. What is beyond the scene has no say: it is below
-/// every floor as well.
+/// The luminance of irradiance at points from surfaces and lamps, 0 inside objects. What is beyond the scene has no
+/// say: it is below every floor as well.
 fn light_at(
     backend: &mut dyn Backend,
     texels: &Texels<'_>,

@@ -1,11 +1,12 @@
 //! Checks of what passes are given. Every backend makes them, so that misuse is the same error with each.
 
-use super::{Gather, GroupTarget, Groups, MOST_SAMPLES, Material, Sampling, ShadePoint, Shaded};
+use super::{BRIGHTEST, Gather, GroupTarget, Groups, MOST_SAMPLES, Material, Sampling, ShadePoint, Shaded};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
+use crate::specular_table::TableSampling;
 use crate::texture::{Footprints, Pyramid, Rows};
 
 /// That a slice has as many items as expected.
@@ -26,12 +27,21 @@ fn drawn(samples: u32) -> Result<()> {
     }
 }
 
-/// That the texture-based lighting has texels, and that its lights are those of the mesh.
+/// That the texture-based lighting has texels and possible radiance, and that its lights are those of the mesh.
 pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     if radiance.data.is_empty() {
         return Err(Error::invalid("the texture-based lighting has no texels: expected at least 1×1"));
     }
     sized("texels of the texture-based lighting", radiance.data.len(), radiance.width * radiance.height)?;
+    let impossible = |texel: &[f32; 3]| !texel.iter().all(|v| (0.0..=BRIGHTEST).contains(v));
+    if let Some(i) = radiance.data.iter().position(impossible) {
+        return Err(Error::invalid(format!(
+            "the texture-based lighting has radiance {:?} in column {}, row {}; expected 0 to {BRIGHTEST:e}",
+            radiance.data[i],
+            i % radiance.width,
+            i / radiance.width
+        )));
+    }
     let triangles = mesh.triangles.len();
     let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
     if lights.density.len() != triangles || !known {
@@ -46,10 +56,18 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     Err(Error::invalid("the lights' clusters, tables and grid do not fit each other; expected those that Lights makes"))
 }
 
-/// That irradiance is gathered by some cosine samples ([`super::Gathered::back_faces`] is their share), and not by too many of a kind.
+/// That irradiance is gathered by some cosine samples ([`super::Gathered::back_faces`] is their share), and not by too
+/// many of a kind.
 pub fn irradiance(gather: Gather) -> Result<()> {
     drawn(gather.cosine)?;
     drawn(gather.light.max(1))
+}
+
+/// That the tables' directions can be drawn: at least one, and not too many of a kind.
+pub fn specular_tables(sampling: TableSampling) -> Result<()> {
+    let kinds = [sampling.lobe, sampling.cosine, sampling.light];
+    kinds.into_iter().try_for_each(|samples| drawn(samples.max(1)))?;
+    drawn(kinds.into_iter().max().unwrap_or(0))
 }
 
 /// That lights are possible ones.
@@ -117,6 +135,12 @@ pub fn lookup_vjp(pyramid: &Pyramid, d_values: &[f32], channels: usize, footprin
     sized("cotangents of lookup_vjp", d_values.len(), footprints.len() * channels)?;
     sized("columns of footprints", footprints.columns.len(), footprints.touched.len())?;
     lists(&footprints.columns)?;
+    if footprints.columns.taps.iter().any(|tap| tap.texel as usize >= footprints.len()) {
+        return Err(Error::invalid(format!("footprints: a column has a row that is not one of {}", footprints.len())));
+    }
+    if !footprints.touched.is_sorted_by(|a, b| a < b) {
+        return Err(Error::invalid("footprints: the texels that are touched must ascend, each once"));
+    }
     within(pyramid, footprints.touched.iter().copied())
 }
 

@@ -1,7 +1,8 @@
 //! Blocks of space that hold as many texels as are worked on at a time, for what looks at neighbours on the surface.
 //!
-//! A block has the texels that lie in it, its own, and those around it that theirs depend on. As a texel's neighbours are gone
-//! through by their place in space and then in atlas order ([`crate::neighbours`]), its own come out alike in any block.
+//! A block has the texels that lie in it, its own, and those around it that theirs depend on. As a texel's neighbours
+//! are gone through by their place in space and then in atlas order ([`crate::neighbours`]), its own come out alike in
+//! any block.
 
 use std::collections::HashMap;
 
@@ -17,7 +18,8 @@ use crate::surface::SurfacePoint;
 /// Edge of the cells that space is cut along, as a multiple of how far neighbours reach.
 const CELL: f32 = 4.0;
 
-/// Points of a block, where there is memory for more: some seconds' work on a processor, and arrays that any device binds.
+/// Points of a block, where there is memory for more: some seconds' work on a processor, and arrays that any device
+/// binds.
 const MOST: usize = 1 << 20;
 
 /// A partition of the texels.
@@ -57,7 +59,8 @@ impl Block {
 }
 
 impl Blocks {
-    /// Cuts space so that no block has more texels than the workspace allows, those within `reach` metres around it included.
+    /// Cuts space so that no block has more texels than the workspace allows, those within `reach` metres around it
+    /// included.
     pub fn new(points: &Store<'_, SurfacePoint>, reach: f32, workspace: &Workspace) -> Result<Self> {
         let (all, most, edge) = (points.len(), most(workspace), CELL * reach);
         if all <= most {
@@ -130,9 +133,9 @@ pub(super) fn most(workspace: &Workspace) -> usize {
     workspace.points().min(MOST)
 }
 
-/// Cuts the box of some cells, with their numbers of texels, in two until all that is in it or in a cell around is at most
-/// `most`, or as far as it can be cut if that is within what is `allowed`. For now a region's `len` is that number: no block
-/// will have more.
+/// Cuts the box of some cells, with their numbers of texels, in two until all that is in it or in a cell around is at
+/// most `most`, or as far as it can be cut if that is within what is `allowed`. For now a region's `len` is that
+/// number: no block will have more.
 fn cut(
     mut cells: Vec<(IVec3, usize)>,
     counts: &HashMap<IVec3, usize>,

@@ -1,8 +1,9 @@
-//! Two gathers of every texel, whose difference tells their error, in rounds until that is small enough where it is asked for.
+//! Two gathers of every texel, whose difference tells their error, in rounds until that is small enough where it is
+//! asked for.
 //!
-//! Every round but the first doubles a texel's rays. Which texels take part in the next is told by their neighbours: were a
-//! texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often than not (Kirk
-//! and Arvo, "Unbiased Sampling Techniques for Image Synthesis", SIGGRAPH 1991).
+//! Every round but the first doubles a texel's rays. Which texels take part in the next is told by their neighbours:
+//! were a texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often
+//! than not (Kirk and Arvo, "Unbiased Sampling Techniques for Image Synthesis", SIGGRAPH 1991).
 
 use std::borrow::Cow;
 
@@ -22,13 +23,13 @@ use crate::progress::Progress;
 use crate::raster::luminance;
 use crate::rng::hash;
 
-/// Samples per half and technique in the first round: few enough to be cheap, and with those of the neighbours enough to tell
-/// what the error is.
+/// Samples per half and technique in the first round: few enough to be cheap, and with those of the neighbours enough
+/// to tell what the error is.
 const FIRST: u32 = 16;
 /// How far the neighbours reach that tell a texel's error, texels: about twenty of them.
 pub(super) const RADIUS: f32 = 2.5;
-/// Errors are relative to the irradiance, but not to less than this share of the mean over all texels: in deep shadow nobody
-/// sees a large share of nearly nothing.
+/// Errors are relative to the irradiance, but not to less than this share of the mean over all texels: in deep shadow
+/// nobody sees a large share of nearly nothing.
 const DARK: f32 = 0.05;
 
 /// What was gathered.
@@ -37,12 +38,14 @@ pub(super) struct Estimate {
     pub halves: [Store<'static, Gathered>; 2],
     /// Rays of every point, both halves together.
     rays: Store<'static, u32>,
-    /// What counts as dark: see [`DARK`]. Never 0, so that a point in the dark has no error rather than none that is defined.
+    /// What counts as dark: see [`DARK`]. Never 0, so that a point in the dark has no error rather than none that is
+    /// defined.
     floor: f32,
 }
 
 impl Estimate {
-    /// Gathers at texels with `gather.cosine + gather.light` rays each, or fewer where the relative error is below `error` before.
+    /// Gathers at texels with `gather.cosine + gather.light` rays each, or fewer where the relative error is below
+    /// `error` before.
     pub fn sample(
         backend: &mut dyn Backend,
         surface: &Surface<'_>,
@@ -53,7 +56,7 @@ impl Estimate {
     ) -> Result<Self> {
         if gather.cosine < 2 {
             return Err(Error::invalid(
-                "an error is told from two halves of the rays: at least 2 must be cosine-distributed",
+                "denoising, and the standard error, compare two halves of the rays: at least 2 must be cosine-distributed",
             ));
         }
         let target = error.filter(|error| *error > 0.0);
@@ -181,8 +184,8 @@ impl EstimateAt<'_> {
         (Vec3::from(self.halves[0][i].irradiance) + Vec3::from(self.halves[1][i].irradiance)) / 2.0
     }
 
-    /// Standard error of a point's luminance as a share of it, from its neighbours within `radius` metres alone; `None` where there
-    /// are none. The variance is taken to fall with the number of rays.
+    /// Standard error of a point's luminance as a share of it, from its neighbours within `radius` metres alone; `None`
+    /// where there are none. The variance is taken to fall with the number of rays.
     fn relative_error(&self, i: usize, neighbours: &Neighbours<NEAR>, radius: f32) -> Option<f32> {
         let (mut sum, mut count) = (0.0, 0.0);
         neighbours.each(i, radius, |j, _| {
@@ -214,11 +217,12 @@ fn joined(before: &Gathered, last: &Gathered, round: usize) -> Gathered {
     Gathered { irradiance: [mean(0), mean(1), mean(2)], back_faces: (before.back_faces + last.back_faces) / 2.0 }
 }
 
-/// The gathers of both halves: all at once, by sequences that the texels of a map `width` texels wide share; or, where texels stop
-/// at different times, by sequences of their own, a small one and others that double it until all are drawn.
+/// The gathers of both halves: all at once, by sequences that the texels of a map `width` texels wide share; or, where
+/// texels stop at different times, by sequences of their own, a small one and others that double it until all are
+/// drawn.
 ///
-/// Halves are parts of one stretch, which errs less than two that do not know of each other; but then their difference says a fifth
-/// too much of what it errs by. Where the `error` is asked for they know nothing of each other.
+/// Halves are parts of one stretch, which errs less than two that do not know of each other; but then their difference
+/// says a fifth too much of what it errs by. Where the `error` is asked for they know nothing of each other.
 fn rounds(gather: Gather, error: Option<f32>, width: usize) -> Vec<[Gather; 2]> {
     let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, ..gather };
     let apart = |half: Gather| [half.seed, hash(half.seed)].map(|seed| Gather { seed, ..half });

@@ -9,19 +9,20 @@ use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 
-/// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, what is found on the way, entries of
-/// the search and while they are sorted, result. Where texels are much larger than a typical one, cells of the search (408
-/// bytes) hold few of them, and it is up to twice as much.
+/// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, what is found on the way,
+/// entries of the search and while they are sorted, result. Where texels are much larger than a typical one, cells of
+/// the search (408 bytes) hold few of them, and it is up to twice as much.
 pub(super) const POINT: u64 = 212;
 
 /// Bytes that a valid texel takes where all of them are in memory, as measured.
 const TEXEL: u64 = 212;
 
-/// Bytes that a valid texel takes in a bake with bounces, as measured: what [`TEXEL`] counts, light so far, and the last bounce's.
+/// Bytes that a valid texel takes in a bake with bounces, as measured: what [`TEXEL`] counts, light so far, and the
+/// last bounce's.
 const BOUNCING: u64 = 360;
 
-/// Bytes per texel of the map in a bake with bounces: albedo, emission, what a bounce sends on and the backend's copy, and what is
-/// padded meanwhile.
+/// Bytes per texel of the map in a bake with bounces: albedo, emission, what a bounce sends on and the backend's copy,
+/// and what is padded meanwhile.
 const SURFACES: u64 = 64;
 
 /// Bytes per texel of the HDR texture: itself, the backend's, and its texels while the lights among them are found.
@@ -30,11 +31,13 @@ const RADIANCE: u64 = 64;
 /// The program, and what it does a piece at a time.
 const BASE: u64 = 48 << 20;
 
-/// Points of a neighbourhood with which work is not mostly at its borders, in as many bytes as a piece of the map takes.
+/// Points of a neighbourhood with which work is not mostly at its borders, in as many bytes as a piece of the map
+/// takes.
 const FEWEST: u64 = 1 << 18;
 
-/// How to keep a bake within `limit`: in memory where a map of `[width, height]` texels, all of them valid, fits beside the mesh
-/// and an HDR texture of `radiance` texels; else in files in `folder`. Errors when even those leave too little.
+/// How to keep a bake within `limit`: in memory where a map of `[width, height]` texels, all of them valid, fits beside
+/// the mesh and an HDR texture of `radiance` texels; else in files in `folder`. Errors when even those leave too
+/// little.
 pub fn keep_within(
     limit: ByteSize,
     folder: &Path,
@@ -57,8 +60,9 @@ pub fn keep_within(
     Ok(Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(limit.0 - beside) })
 }
 
-/// [`keep_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of every
-/// texel besides goes to files where it does not fit. `materials` are the bytes of the scene as it was read, and of an environment.
+/// [`keep_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of
+/// every texel besides goes to files where it does not fit. `materials` are the bytes of the scene as it was read, and
+/// of an environment.
 pub fn keep_bounces_within(
     limit: ByteSize,
     folder: &Path,
@@ -90,7 +94,8 @@ pub fn keep_bounces_within(
     )))
 }
 
-/// What is wrong where so many texels lie so close together that they have to be in memory at once, in which `most` fit.
+/// What is wrong where so many texels lie so close together that they have to be in memory at once, in which `most`
+/// fit.
 pub(super) fn too_dense(texels: usize, most: usize) -> Error {
     let bytes = |texels: usize| ByteSize(texels as u64 * POINT);
     let more = bytes(texels.saturating_sub(most));

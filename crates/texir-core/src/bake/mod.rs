@@ -1,7 +1,8 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 //!
-//! What is known of every texel lies in arrays, in memory or in files ([`Workspace`]): gathers go through them tile by tile,
-//! what looks at neighbours block of space by block of space, the map row by row. None of it changes a bit of the result.
+//! What is known of every texel lies in arrays, in memory or in files ([`Workspace`]): gathers go through them tile by
+//! tile, what looks at neighbours block of space by block of space, the map row by row. None of it changes a bit of the
+//! result.
 
 mod blocks;
 mod estimate;
@@ -40,8 +41,8 @@ pub struct Baked {
     pub irradiance: Vec<[f32; 3]>,
     /// Texels inside other geometry, as a floor under a cupboard.
     pub buried: Vec<bool>,
-    /// Standard error of the luminance of E before denoising, in the unit of E: estimated from a texel's neighbours. Where
-    /// [`Quality::error`] asked for it.
+    /// Standard error of the luminance of E before denoising, in the unit of E: estimated from a texel's neighbours.
+    /// Where [`Quality::error`] asked for it.
     pub standard_error: Option<Vec<f32>>,
     /// Rays that were asked for: where there are no lights, those to them are not traced.
     pub rays: u64,
@@ -52,8 +53,8 @@ pub struct Baked {
 pub enum Buried {
     /// What they gathered.
     Keep,
-    /// Their lit neighbour's value, [`PADDING`] texels inwards: theirs is not seen, but bleeds into what is seen beside it where
-    /// a lookup interpolates. What is further inside keeps what it gathered.
+    /// Their lit neighbour's value, [`PADDING`] texels inwards: theirs is not seen, but bleeds into what is seen beside
+    /// it where a lookup interpolates. What is further inside keeps what it gathered.
     Fill,
 }
 
@@ -70,7 +71,8 @@ impl Baked {
 pub struct Quality {
     /// Rays of a texel, at most. Its [`Gather::sequences`] are not used: a bake chooses them.
     pub gather: Gather,
-    /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes all.
+    /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes
+    /// all.
     pub error: Option<f32>,
     /// What removes most of the noise, if anything.
     pub denoise: Option<Denoiser>,
@@ -88,9 +90,9 @@ impl Quality {
 pub enum Denoiser {
     /// Regression over neighbours on the surface, guided by two halves of the rays: [`Backend::denoise`].
     Regression,
-    /// Intel's Open Image Denoise, guided by normals, for comparison: it sees the map as a picture, so that charts of the
-    /// atlas that lie beside each other have a say in each other. It needs all of the map in memory, and the feature `oidn`: an
-    /// error without.
+    /// Intel's Open Image Denoise, guided by normals, for comparison: it sees the map as a picture, so that charts of
+    /// the atlas that lie beside each other have a say in each other. It needs all of the map in memory, and the
+    /// feature `oidn`: an error without.
     OpenImageDenoise,
 }
 

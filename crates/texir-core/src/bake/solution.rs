@@ -50,7 +50,8 @@ impl Solution {
         texels.rows(&self.irradiance, (buried == Buried::Fill).then_some(&self.seen), rows, PADDING)
     }
 
-    /// Some rows of the map of [`Baked::standard_error`], 0 outside the charts and where [`Quality::error`] did not ask for it.
+    /// Some rows of the map of [`Baked::standard_error`], 0 outside the charts and where [`Quality::error`] did not ask
+    /// for it.
     pub fn error_rows(&self, texels: &Texels<'_>, rows: Range<usize>) -> Result<Vec<f32>> {
         self.check(texels, &rows)?;
         match &self.standard_error {
@@ -142,8 +143,9 @@ impl Solution {
         Ok(sum / (3 * texels.valid()).max(1) as f64)
     }
 
-    /// The share of the light of `total` that this is, its mean over the texels of every square of the map; `None` for those of few texels.
-    /// Texels inside other geometry are left out, and those of which `total` is at most `dark` have a share of 0.
+    /// The share of the light of `total` that this is, its mean over the texels of every square of the map; `None` for
+    /// those of few texels. Texels inside other geometry are left out, and those of which `total` is at most `dark`
+    /// have a share of 0.
     pub(crate) fn shares(&self, texels: &Texels<'_>, total: &Self, dark: f32) -> Result<Vec<Option<f64>>> {
         /// Edge of a square.
         const SIDE: usize = 16;
@@ -166,8 +168,8 @@ impl Solution {
         Ok(sums.into_iter().map(|(sum, count)| (count >= ENOUGH).then(|| sum / f64::from(count))).collect())
     }
 
-    /// Takes texels whose luminance is above `dark` for ones outside of other geometry. Where backs of faces send no light, what is lit
-    /// is not inside, however many backs it meets: those of a roof of one sheet, or of an open box.
+    /// Takes texels whose luminance is above `dark` for ones outside of other geometry. Where backs of faces send no
+    /// light, what is lit is not inside, however many backs it meets: those of a roof of one sheet, or of an open box.
     pub(crate) fn see_lit(&mut self, texels: &Texels<'_>, dark: f32) -> Result<()> {
         for items in texels.pieces() {
             let (irradiance, seen) = (self.irradiance.get(&items)?, self.seen.get(&items)?);
@@ -178,8 +180,8 @@ impl Solution {
         Ok(())
     }
 
-    /// Some rows of the map of light that surfaces can send on: [`Buried::Fill`] for texels that are inside other geometry, which
-    /// `first` tells.
+    /// Some rows of the map of light that surfaces can send on: [`Buried::Fill`] for texels that are inside other
+    /// geometry, which `first` tells.
     pub(crate) fn seen_rows(&self, texels: &Texels<'_>, first: &Self, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         texels.rows(&self.irradiance, Some(&first.seen), rows, PADDING)
     }
@@ -215,8 +217,8 @@ impl Solution {
         })
     }
 
-    /// Removes most of the noise by a library that sees the whole map at once. Texels inside other geometry are as their
-    /// neighbours to it, and keep what they gathered.
+    /// Removes most of the noise by a library that sees the whole map at once. Texels inside other geometry are as
+    /// their neighbours to it, and keep what they gathered.
     #[cfg(feature = "oidn")]
     fn denoised_as_a_picture(mut self, texels: &Texels<'_>, progress: &dyn Progress) -> Result<Self> {
         progress.start("denoising", texels.valid() as u64, "texels");
@@ -260,6 +262,9 @@ pub fn solve(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Solution> {
+    if let Some(error) = quality.error.filter(|error| !(*error >= 0.0)) {
+        return Err(Error::invalid(format!("the relative error asked for is {error}; expected 0 or more")));
+    }
     if quality.denoise == Some(Denoiser::OpenImageDenoise) {
         #[cfg(not(feature = "oidn"))]
         return Err(Error::invalid(

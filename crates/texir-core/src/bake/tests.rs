@@ -13,6 +13,7 @@ use crate::authored::{self, Bounces, Surfaces};
 use crate::backend::Gathered;
 use crate::cpu::CpuBackend;
 use crate::denoise;
+use crate::environment::Environment;
 use crate::error::Error;
 use crate::lights::Lights;
 use crate::progress::Silent;
@@ -182,8 +183,8 @@ fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
 /// Texels of the map that is baked in memory and in files, a side.
 const LARGE: usize = 160;
 
-/// A floor in strips, each a chart of its own, in an order that is not that of space; a rug that buries a part of it; and a
-/// ceiling that shines.
+/// A floor in strips, each a chart of its own, in an order that is not that of space; a rug that buries a part of it;
+/// and a ceiling that shines.
 fn strips() -> (Arc<Scene>, Rgb) {
     let mut mesh = Mesh::default();
     let mut sheet = |[x0, x1, y0, y1]: [f32; 4], height: f32, up: bool, slot: usize| {
@@ -379,4 +380,90 @@ fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     assert!(error.ends_with(": raise it"), "{error}");
     let error = beside(ByteSize::gib(1), 1 << 30, 64).unwrap_err().to_string();
     assert!(error.contains("triangles, read in 1.0 GiB,") && plan(ByteSize::gib(1), 64).is_ok(), "{error}");
+}
+
+#[test]
+fn a_bake_goes_on_only_with_what_it_was_begun_with() {
+    let (scene, radiance) = two_sheets();
+    let mesh = &scene.mesh;
+    let of = |mesh: &Mesh, radiance: &Rgb, seed: u32| identity(mesh, radiance, seed);
+    let own = of(mesh, &radiance, 1);
+    assert_eq!(own, of(&mesh.clone(), &radiance.clone(), 1));
+    let changed = |change: fn(&mut Mesh)| {
+        let mut other = mesh.clone();
+        change(&mut other);
+        of(&other, &radiance, 1)
+    };
+    let mut brighter = radiance.clone();
+    brighter.data[77][2] += 0.5;
+    let others = [
+        changed(|mesh| mesh.positions[1].x += 1e-3),
+        changed(|mesh| mesh.normals[1] = Vec3::X),
+        changed(|mesh| mesh.uvs[1].y += 1e-3),
+        changed(|mesh| mesh.triangles[0].swap(0, 1)),
+        of(mesh, &brighter, 1),
+        of(mesh, &Rgb { width: SIDE / 2, height: 2 * SIDE, ..radiance.clone() }, 1),
+        of(mesh, &radiance, 2),
+    ];
+    assert!(others.iter().all(|other| *other != own), "{own} {others:?}");
+
+    let surfaces = Surfaces {
+        albedo: Rgb::filled(SIDE, SIDE, [0.5; 3]),
+        emission: radiance,
+        lights: vec![PunctualLight::point([0.0; 3], [1.0; 3])],
+        environment: Some(Environment::new(Rgb::filled(4, 2, [1.0; 3])).unwrap()),
+    };
+    let own = surfaces.identity(mesh, 1);
+    assert_eq!(own, surfaces.clone().identity(mesh, 1));
+    let changed = |change: fn(&mut Surfaces)| {
+        let mut other = surfaces.clone();
+        change(&mut other);
+        other.identity(mesh, 1)
+    };
+    let others = [
+        changed(|of| of.albedo.data[3][1] = 0.4),
+        changed(|of| of.emission.data[3][1] = 9.0),
+        changed(|of| of.lights[0].intensity[2] = 2.0),
+        changed(|of| of.lights.clear()),
+        changed(|of| of.environment = None),
+        changed(|of| of.environment = Some(Environment::new(Rgb::filled(4, 2, [2.0; 3])).unwrap())),
+        surfaces.identity(mesh, 2),
+    ];
+    assert!(others.iter().all(|other| *other != own), "{own} {others:?}");
+}
+
+#[test]
+fn standard_errors_of_light_that_is_added_up_add_up_as_noise_does() {
+    let (scene, radiance) = two_sheets();
+    let mut backend = lit(&scene, &radiance);
+    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let texels = Texels::of(&atlas);
+    let quality = Quality { gather: GATHER, error: Some(0.0), denoise: None };
+    let mut solution = solve(&mut backend, &texels, &quality, &Checkpoints::none(), &Silent).unwrap();
+    let other = solution.copy(&texels).unwrap();
+    let [one, _] = [&solution, &other].map(|of| of.copy(&texels).unwrap().into_baked().unwrap());
+    solution.add(&texels, &other).unwrap();
+    let both = solution.into_baked().unwrap();
+    let [one_errors, both_errors] = [&one, &both].map(|baked| baked.standard_error.as_ref().unwrap());
+    assert!(one_errors.iter().any(|e| *e > 0.0));
+    for (one, both) in one_errors.iter().zip(both_errors) {
+        assert!((both - std::f32::consts::SQRT_2 * one).abs() <= 1e-6 * one, "{one} twice is {both}");
+    }
+    assert!(one.irradiance.iter().zip(&both.irradiance).all(|(one, both)| *both == one.map(|e| 2.0 * e)));
+}
+
+#[test]
+fn errors_that_cannot_be_met_and_halves_of_one_ray_are_refused() {
+    let (scene, radiance) = two_sheets();
+    let mut backend = lit(&scene, &radiance);
+    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let mut refused = |quality: &Quality| {
+        bake(&mut backend, &atlas, quality, &Checkpoints::none(), &Silent).map(drop).unwrap_err().to_string()
+    };
+    for error in [f32::NAN, -0.1] {
+        let said = refused(&Quality { gather: GATHER, error: Some(error), denoise: None });
+        assert!(said.contains(&format!("asked for is {error}; expected")), "{said}");
+    }
+    let said = refused(&Quality::denoised(Gather::new(1, 8, 3)));
+    assert!(said.contains("denoising") && said.contains("at least 2"), "{said}");
 }

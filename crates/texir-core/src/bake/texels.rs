@@ -97,8 +97,8 @@ impl<'a> Texels<'a> {
         Ok(typical.edge())
     }
 
-    /// Some rows of the map of one value per texel; the values flagged `known` (all without) continued `rings` texels beyond
-    /// them, over others; 0 elsewhere.
+    /// Some rows of the map of one value per texel; the values flagged `known` (all without) continued `rings` texels
+    /// beyond them, over others; 0 elsewhere.
     pub(super) fn rows<T: Pod>(
         &self,
         values: &Store<'_, T>,

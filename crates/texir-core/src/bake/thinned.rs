@@ -15,7 +15,8 @@ const SAME_WAY: f32 = 0.95;
 /// Nor do those that are farther apart, in typical texels: they are parts of different charts.
 const APART: f32 = 4.0;
 
-/// [`super::denoised`] at one point of each square of 2 × 2 texels that lie beside each other on one surface; they have its irradiance.
+/// [`super::denoised`] at one point of each square of 2 × 2 texels that lie beside each other on one surface; they have
+/// its irradiance.
 pub fn thinned(
     backend: &mut dyn Backend,
     atlas: &Atlas,
@@ -108,8 +109,8 @@ mod tests {
             normal: [0.0, 0.0, normal],
             sequence,
         };
-        // Two rows of five. Of the first square, the lower left texel is not there and the lower right one faces away; of the second, the
-        // lower right one lies elsewhere; the last has one texel.
+        // Two rows of five. Of the first square, the lower left texel is not there and the lower right one faces away;
+        // of the second, the lower right one lies elsewhere; the last has one texel.
         let points = vec![
             point(0, 0.0, 1.0),
             point(1, 1.0, 1.0),

@@ -13,8 +13,8 @@ use crate::text_file::read_text;
 
 /// Lists that come along, by the names that captures call them.
 ///
-/// - ADE20K, SceneParsing benchmark: 150 classes, numbered as in its annotations, in the colours of its `color150`, of which
-///   road and skyscraper share one.
+/// - ADE20K, SceneParsing benchmark: 150 classes, numbered as in its annotations, in the colours of its `color150`, of
+///   which road and skyscraper share one.
 /// - COCO panoptic: 133 classes with the ids and colours of `panoptic_coco_categories.json`.
 /// - NYU40: the 40 classes of Gupta et al. (CVPR 2013) in ScanNet's colours; ScanNet's benchmark takes 20 of them.
 const SHIPPED: [(&str, &str); 3] = [
@@ -52,8 +52,8 @@ pub struct Classes {
 }
 
 impl Classes {
-    /// The list of this name, or that of a JSON file in `folder`: `[{"id": 1, "name": "wall", "color": [120, 120, 120]}, …]`,
-    /// where colours may be left out and other fields are not read.
+    /// The list of this name, or that of a JSON file in `folder`: `[{"id": 1, "name": "wall", "color": [120, 120,
+    /// 120]}, …]`, where colours may be left out and other fields are not read.
     pub fn open(name: &str, folder: &Path) -> Result<Self> {
         let path = folder.join(name);
         let shipped = SHIPPED.iter().find(|(known, _)| *known == name);

@@ -1,5 +1,5 @@
-//! What was corrected in the views of a capture, as a file beside what was made of them: whoever compares with the views
-//! later has to see them corrected as well.
+//! What was corrected in the views of a capture, as a file beside what was made of them: whoever compares with the
+//! views later has to see them corrected as well.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -143,8 +143,8 @@ fn warn_about_positions(root: &Path, views: &[View], mesh: &Mesh, progress: &dyn
     }
 }
 
-/// What turns OpenGL's axes into OpenCV's turns images upside down, but keeps what they show: the fit would go on, and find
-/// anything but the room's materials.
+/// What turns OpenGL's axes into OpenCV's turns images upside down, but keeps what they show: the fit would go on, and
+/// find anything but the room's materials.
 fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
     let down: Vec<&View> = views.iter().filter(|v| v.camera.world_from_camera.y_axis.z < -DOWN).collect();
     if let Some(first) = down.first().filter(|_| 2 * down.len() > views.len()) {

@@ -5,7 +5,8 @@ use glam::{DMat3, DMat4, DVec4, Mat4};
 /// A rotation may differ from an orthonormal one by this much per entry of RᵀR: files with few digits, f32 arithmetic.
 const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
 
-/// A rigid `world_from_camera` of 4 rows (or 3) of 4 numbers; what is wrong with them otherwise, as the end of a sentence.
+/// A rigid `world_from_camera` of 4 rows (or 3) of 4 numbers; what is wrong with them otherwise, as the end of a
+/// sentence.
 pub(super) fn from_rows<R: AsRef<[f64]> + std::fmt::Debug>(rows: &[R]) -> Result<DMat4, String> {
     if !matches!(rows.len(), 3 | 4) || rows.iter().any(|row| row.as_ref().len() != 4) {
         let lengths: Vec<usize> = rows.iter().map(|row| row.as_ref().len()).collect();

@@ -1,9 +1,10 @@
 //! Images without the blur that lenses, stitching and resampling gave them.
 //!
-//! A pixel is taken for the mean of what it covers. Where the images' point spread is wider, the image is sought that blurs
-//! into the one at hand: x ← x + (image − blurred x) (Van Cittert 1931), a few times only: what noise there is grows by half
-//! where the spread is a sixth of a square pixel, and threefold at the widest. A pixel changes by no more than a factor: beside
-//! a lamp nearly all of its light may be the lamp's, and what is left of it without that is chance.
+//! A pixel is taken for the mean of what it covers. Where the images' point spread is wider, the image is sought that
+//! blurs into the one at hand: x ← x + (image − blurred x) (Van Cittert 1931), a few times only: what noise there is
+//! grows by half where the spread is a sixth of a square pixel, and threefold at the widest. A pixel changes by no more
+//! than a factor: beside a lamp nearly all of its light may be the lamp's, and what is left of it without that is
+//! chance.
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -17,8 +18,8 @@ const CHANGE: f32 = 1.3;
 /// The widest point spread, square pixels, that one pass over three pixels makes.
 const PASS: f32 = 0.5;
 
-/// Undoes a point spread of this variance beyond that of a pixel, square pixels along each axis. Left and right meet where the
-/// image `wraps`. Pixels that are not finite stay as they are, and spread to no other.
+/// Undoes a point spread of this variance beyond that of a pixel, square pixels along each axis. Left and right meet
+/// where the image `wraps`. Pixels that are not finite stay as they are, and spread to no other.
 pub(super) fn sharpen(image: &mut Rgb, variance: f32, wraps: bool) {
     let (width, height) = image.size();
     let at = |x: usize, y: usize| y * width + x;

@@ -1,5 +1,5 @@
-//! What the training views show of the mesh, before anything is fitted: light that the mesh has no front for, images that clip, and
-//! views that contradict the others. Each of these ruins a result, and none of them stops a fit.
+//! What the training views show of the mesh, before anything is fitted: light that the mesh has no front for, images
+//! that clip, and views that contradict the others. Each of these ruins a result, and none of them stops a fit.
 
 mod noise;
 
@@ -31,7 +31,8 @@ const OPEN: [f64; 2] = [0.05, 0.1];
 const CLIPPED: f64 = 1e-3;
 /// A view is exposed otherwise where it is brighter or darker than the others by this, in ln.
 const EXPOSED: f32 = 0.25;
-/// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off in the median.
+/// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off
+/// in the median.
 const OFF: f32 = 0.3;
 const TIMES: f32 = 2.5;
 /// Images are noisy where their radiance differs by this from pixel to pixel for no reason, in ln.
@@ -50,8 +51,8 @@ pub struct Shown {
     pub all: Share,
     /// The largest value of its image, and the share of its pixels that have it in two channels at least.
     pub largest: (f32, f64),
-    /// Standard deviation of ln radiance from pixel to pixel, of the file's own pixels, where nothing but noise makes them
-    /// differ; `None` where the image is too small or black.
+    /// Standard deviation of ln radiance from pixel to pixel, of the file's own pixels, where nothing but noise makes
+    /// them differ; `None` where the image is too small or black.
     pub noise: Option<f32>,
     /// How it agrees with other views of the same places; `None` where too few show enough of them.
     pub agreement: Option<Agreement>,
@@ -82,7 +83,8 @@ pub struct Agreement {
 pub struct Survey(Vec<Shown>);
 
 impl Survey {
-    /// Looks at all of `views`, at some hundred columns each. What masks leave out shines all the same, but is not compared.
+    /// Looks at all of `views`, at some hundred columns each. What masks leave out shines all the same, but is not
+    /// compared.
     pub fn new(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Self> {
         progress.start("what views show", views.len() as u64, "views");
         let (mut shown, mut cells) = (Vec::with_capacity(views.len()), Vec::new());
@@ -350,7 +352,8 @@ mod tests {
     use crate::raster::Mask;
     use crate::scene::Scene;
 
-    /// What a view shows of the square [−1, 1]² at z = 0, which faces up; its image is `1` but for one pixel, and masked where asked.
+    /// What a view shows of the square [−1, 1]² at z = 0, which faces up; its image is `1` but for one pixel, and
+    /// masked where asked.
     fn shown(camera: Camera, bright: [usize; 2], masked: bool) -> Shown {
         let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
         let mesh = Mesh {

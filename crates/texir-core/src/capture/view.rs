@@ -32,17 +32,17 @@ impl View {
         }
     }
 
-    /// The view with pixels `factor` times as wide, each the mean of those it covers; labels are those of most of them, masks
-    /// keep what all of them keep, and columns and rows that do not fill a pixel are cut off. `None` where that would cut a
-    /// panorama, which must stay whole.
+    /// The view with pixels `factor` times as wide, each the mean of those it covers; labels are those of most of them,
+    /// masks keep what all of them keep, and columns and rows that do not fill a pixel are cut off. `None` where that
+    /// would cut a panorama, which must stay whole.
     pub fn reduced(&self, factor: usize) -> Option<Self> {
         let camera = self.camera.reduced(factor)?;
         Some(Self { camera, reduction: self.reduction * factor, ..self.clone() })
     }
 
-    /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or infinite are
-    /// unknown and NaN in all channels, negative channels are 0, and a warning says how many. So is all of an image that is black throughout:
-    /// what failed to be written must not pass for black paint.
+    /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or
+    /// infinite are unknown and NaN in all channels, negative channels are 0, and a warning says how many. So is all of
+    /// an image that is black throughout: what failed to be written must not pass for black paint.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         self.image_with(f32::NAN, progress)
     }
@@ -88,7 +88,8 @@ impl View {
         self.semantic.as_ref().map(read).transpose()
     }
 
-    /// Which pixels of `image`, which [`View::load_image`] gave, may be used: those that are known and that the mask keeps.
+    /// Which pixels of `image`, which [`View::load_image`] gave, may be used: those that are known and that the mask
+    /// keeps.
     pub fn usable(&self, image: &Rgb) -> Result<Mask> {
         Ok(match self.load_mask()? {
             Some(mask) => mask.and(&image.finite()),
@@ -129,15 +130,14 @@ impl View {
         std::iter::once(("file_path", self.image.as_path())).chain(present)
     }
 
-    /// Compares the sizes of all files with the camera's, and checks that the files are whole: a fit comes to some of them
-    /// only after its longest steps.
+    /// Compares the sizes of all files with the camera's, and checks that the files are whole: a fit comes to some of
+    /// them only after its longest steps.
     pub(super) fn check_files(&self) -> Result<()> {
         for (field, path) in self.files() {
             if !path.is_file() {
-                return Err(Error::file(
-                    path,
-                    format!("does not exist, but is the {field} of view {:?}; expected an image", self.name),
-                ));
+                let what = if path.exists() { "is no file" } else { "does not exist" };
+                let what = format!("{what}, but is the {field} of view {:?}; expected an image", self.name);
+                return Err(Error::file(path, what));
             }
             self.check_size(field, path, image_io::read_size(path)?)?;
             image_io::check_whole(path)?;

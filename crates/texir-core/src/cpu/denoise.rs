@@ -76,8 +76,8 @@ impl Search<'_> {
         around::each(pass, &self.neighbours, self.noisy, progress)
     }
 
-    /// Gives `found` the points within `radius` texels that may be mixed with point `i`, offsets in shares of the radius, and 1 less
-    /// the square of these: how near they are.
+    /// Gives `found` the points within `radius` texels that may be mixed with point `i`, offsets in shares of the
+    /// radius, and 1 less the square of these: how near they are.
     #[inline(always)]
     fn around<R: Real>(&self, i: usize, radius: f32, mut found: impl FnMut(usize, V3<R>, R)) {
         let (apart, radius) = (self.noisy.apart, radius * self.noisy.texel);
@@ -426,8 +426,8 @@ mod tests {
 
     #[test]
     fn rare_bright_samples_keep_their_light() {
-        // A twentieth of a half's texels found a small source: 2.9 instead of 0.9 of the truth. Smoothing that follows a
-        // texel's own noise keeps the others where they are, and takes 2.5 % of the light.
+        // A twentieth of a half's texels found a small source: 2.9 instead of 0.9 of the truth. Smoothing that follows
+        // a texel's own noise keeps the others where they are, and takes 2.5 % of the light.
         for seed in [5u32, 9, 31, 77] {
             let halves = [1u32, 2].map(|half| {
                 let rare = |i: usize| hash2(hash2(i as u32, seed), half) < u32::MAX / 20;
@@ -443,8 +443,9 @@ mod tests {
     }
 
     #[test]
-    fn light_that_few_samples_bring_is_not_lost() {
-        // Cosine samples under a small lamp: a hundredth of a half's texels found it, and bring nine tenths of the light.
+    fn most_of_the_light_that_few_samples_bring_is_kept() {
+        // Cosine samples under a small lamp: a hundredth of a half's texels found it, and bring nine tenths of the
+        // light.
         for seed in [5u32, 9, 31, 77] {
             let halves = [1u32, 2].map(|half| {
                 let rare = |i: usize| hash2(hash2(i as u32, seed), half) < u32::MAX / 100;

@@ -3,8 +3,8 @@
 use crate::backend::{GroupTarget, Groups};
 use crate::real::Real;
 
-/// The mean over all grouped pixels and channels of |value − target_g|; the gradient is added to `d_values`. Returns the
-/// loss.
+/// The mean over all grouped pixels and channels of |value − target_g|; the gradient is added to `d_values`. Returns
+/// the loss.
 ///
 /// With [`GroupTarget::Mean`] the gradient flows through the mean: (sign_i − mean sign)/N. With
 /// [`GroupTarget::Quantile`] the target is fixed and only the members that are no references are drawn to it.
@@ -43,8 +43,8 @@ pub fn group_loss<R: Real>(
                 GroupTarget::Mean => mean(drawn.iter().map(|p| sign(value(p)))),
                 GroupTarget::Quantile(_) => R::of(0.0),
             };
+            loss = loss + sum(drawn.iter().map(|pixel| (value(pixel) - aim).abs() * share));
             for pixel in drawn {
-                loss = loss + (value(pixel) - aim).abs() * share;
                 let d = &mut d_values[*pixel as usize * channels + c];
                 *d = *d + (sign(value(pixel)) - through_aim) * share;
             }
@@ -55,7 +55,20 @@ pub fn group_loss<R: Real>(
 
 fn mean<R: Real>(values: impl ExactSizeIterator<Item = R>) -> R {
     let count = values.len();
-    values.fold(R::of(0.0), |a, b| a + b) * R::of(1.0 / count as f64)
+    sum(values) * R::of(1.0 / count as f64)
+}
+
+/// Block by block: a running sum of millions of items in single precision stops.
+fn sum<R: Real>(values: impl Iterator<Item = R>) -> R {
+    const BLOCK: usize = 4096;
+    let (mut all, mut block) = (R::of(0.0), R::of(0.0));
+    for (i, value) in values.enumerate() {
+        if i % BLOCK == 0 {
+            (all, block) = (all + block, R::of(0.0));
+        }
+        block = block + value;
+    }
+    all + block
 }
 
 /// The q-quantile with linear interpolation between order statistics, at position q(n−1).

@@ -20,10 +20,10 @@ pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
     V3([radius * phi.cos(), radius * phi.sin(), (R::of(1.0) - u).sqrt()])
 }
 
-/// E = Σ L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s), the balance heuristic over n_c cosine samples, n_l samples of lights and
-/// n_s of the bright sky (Veach and Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is point
-/// stretch · n_c + i of the lattice sequence shifted by two hashes of the seed of the point's [`Sequences`], those of lights and
-/// sky likewise points of others.
+/// E = Σ L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s), the balance heuristic over n_c cosine samples, n_l samples of
+/// lights and n_s of the bright sky (Veach and Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is
+/// point stretch · n_c + i of the lattice sequence shifted by two hashes of the seed of the point's [`Sequences`],
+/// those of lights and sky likewise points of others.
 ///
 /// A light shines from its front: behind a lamp's shade, its back is what an inexact mesh shows through cracks. Other
 /// surfaces show the same radiance on either side, so that a curtain of one sheet is seen from its window.

@@ -1,6 +1,8 @@
-//! Several numbers at once, so that a processor can take them in one instruction: arithmetic lane by lane, which compiles to that.
+//! Several numbers at once, so that a processor can take them in one instruction: arithmetic lane by lane, which
+//! compiles to that.
 //!
-//! Everything is inlined into what is compiled for the widest instructions of a processor ([`pulp::Arch`]); closures might not be.
+//! Everything is inlined into what is compiled for the widest instructions of a processor ([`pulp::Arch`]); closures
+//! might not be.
 
 use std::ops::{Add, Div, Mul, Sub};
 

@@ -1,4 +1,5 @@
-//! Directions to the lights of the TBL, and the density with which they are drawn; twin of `shared/light_sampling.wgsl`.
+//! Directions to the lights of the TBL, and the density with which they are drawn; twin of
+//! `shared/light_sampling.wgsl`.
 
 use super::trace::TraceHit;
 use crate::lights::{Lights, invert};

@@ -8,8 +8,8 @@ use crate::texture::{Footprints, Pyramid, Rows};
 /// Items per task of a parallel loop.
 const BLOCK: usize = 1024;
 
-/// y = rows · x, with `channels` interleaved numbers per item. Used forward with footprint rows and backward with columns:
-/// the same gather. `source` yields the numbers of an item.
+/// y = rows · x, with `channels` interleaved numbers per item. Used forward with footprint rows and backward with
+/// columns: the same gather. `source` yields the numbers of an item.
 fn gather<'a, R: Real>(rows: &Rows, channels: usize, source: impl Fn(usize) -> &'a [R] + Sync) -> Vec<R> {
     let mut out = vec![R::of(0.0); rows.len() * channels];
     let sum = |(row, sum): (usize, &mut [R])| {
@@ -31,8 +31,8 @@ fn children(pyramid: &Pyramid, level: usize, x: usize, y: usize) -> impl Iterato
     children.into_iter().flatten().filter(move |_| sum > 0.0).map(move |c| (c, pyramid.coverage[c] / sum))
 }
 
-/// The levels of the pyramid above `texture` (level 0) that come before level `levels`, in one piece: every texel is the
-/// coverage-weighted mean of its children.
+/// The levels of the pyramid above `texture` (level 0) that come before level `levels`, in one piece: every texel is
+/// the coverage-weighted mean of its children.
 pub fn reduce<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize, levels: usize) -> Vec<R> {
     let end = pyramid.levels.get(levels).map_or(pyramid.len(), |level| level.offset);
     let start = |level: usize| pyramid.levels[level].offset * channels - texture.len();

@@ -1,5 +1,6 @@
-//! CPU twins: one file per pass, sharing its stem with the shader, generic over the scalar. In `f64` (and [`crate::real::Dual`])
-//! they are the oracle that the WGSL is tested against; in `f32` over rayon and obvhs they are [`CpuBackend`].
+//! CPU twins: one file per pass, sharing its stem with the shader, generic over the scalar. In `f64` (and
+//! [`crate::real::Dual`]) they are the oracle that the WGSL is tested against; in `f32` over rayon and obvhs they are
+//! [`CpuBackend`].
 
 pub mod denoise;
 pub mod group_loss;
@@ -226,6 +227,7 @@ impl Backend for CpuBackend {
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
+        check::specular_tables(sampling)?;
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(pixels, progress, u64::from(sampling.rays()), |_, strata| {
             Curve::new(specular_table::specular_table(&lighting, lights, strata, f0, sampling).map(V3::to_f32))

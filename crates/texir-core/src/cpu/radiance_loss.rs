@@ -2,8 +2,8 @@
 
 use crate::real::{Real, V3};
 
-/// One pixel's share of the mean of |T(rendered) − T(target)| and its gradient with respect to `rendered`; T(x) = ln(1+x),
-/// `share` is one over three times the number of pixels.
+/// One pixel's share of the mean of |T(rendered) − T(target)| and its gradient with respect to `rendered`; T(x) =
+/// ln(1+x), `share` is one over three times the number of pixels.
 pub fn radiance_loss<R: Real>(rendered: V3<R>, target: V3<R>, share: R) -> (R, V3<R>) {
     let zero = R::of(0.0);
     let mut loss = zero;

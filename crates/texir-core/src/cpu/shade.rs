@@ -1,5 +1,5 @@
-//! Shading, twin of `shade.wgsl`: diffuse from irradiance + importance-sampled GGX over the TBL, with the derivatives that
-//! the adjoint needs (method section 4).
+//! Shading, twin of `shade.wgsl`: diffuse from irradiance + importance-sampled GGX over the TBL, with the derivatives
+//! that the adjoint needs (method section 4).
 
 use super::trace::{Lighting, Trace};
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
@@ -45,7 +45,8 @@ struct LobeSample<R> {
     d_fresnel: R,
 }
 
-/// Draws a half-vector of the GGX lobe and reflects the view about it; `None` when the light direction is below the surface.
+/// Draws a half-vector of the GGX lobe and reflects the view about it; `None` when the light direction is below the
+/// surface.
 fn sample_lobe<R: Real>(
     normal: V3<R>,
     view: V3<R>,

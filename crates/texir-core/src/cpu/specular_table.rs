@@ -14,8 +14,8 @@ use crate::rng::{hash2, sobol2};
 use crate::specular_table::{LOBES, NODES, STRATA, TableSampling, node};
 
 /// S(r_k) = Σ L f_s(r_k) nl / Σ_j n_j p_j at every node k, the mean over the strata: the balance heuristic (Veach and
-/// Guibas 1995) over all lobes, the cosine and the lights. Every node uses every sample. Technique j draws from the Sobol
-/// sequence of `hash2(hash2(seed, sequence), j)`, stratum t its samples `[t n_j, (t+1) n_j)`.
+/// Guibas 1995) over all lobes, the cosine and the lights. Every node uses every sample. Technique j draws from the
+/// Sobol sequence of `hash2(hash2(seed, sequence), j)`, stratum t its samples `[t n_j, (t+1) n_j)`.
 pub fn specular_table<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
     lights: &Lights,

@@ -28,8 +28,8 @@ pub struct TileBins {
 }
 
 impl TileBins {
-    /// Bins every triangle into the tiles that its bounds, grown by [`REACH`], touch: those that hold `rows` of an atlas of
-    /// `[width, height]` texels.
+    /// Bins every triangle into the tiles that its bounds, grown by [`REACH`], touch: those that hold `rows` of an
+    /// atlas of `[width, height]` texels.
     pub fn new(mesh: &Mesh, [width, height]: [usize; 2], rows: Range<usize>) -> Self {
         let columns = width.div_ceil(TILE);
         let (first_row, end_row) = (rows.start / TILE, rows.end.div_ceil(TILE));

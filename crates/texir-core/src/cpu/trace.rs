@@ -1,5 +1,5 @@
-//! Closest hits: what finds them, of which there is [`Scene`](crate::scene::Scene) in `f32`, and an exhaustive search in any scalar as
-//! the oracle.
+//! Closest hits: what finds them, of which there is [`Scene`](crate::scene::Scene) in `f32`, and an exhaustive search
+//! in any scalar as the oracle.
 
 use crate::environment::Environment;
 use crate::mesh::Mesh;

@@ -1,7 +1,8 @@
-//! Closest hits in `f32`: obvhs's hierarchy as processors trace it, its nodes unpacked, the eight children of one tested at once and
-//! the nearest entered first.
+//! Closest hits in `f32`: obvhs's hierarchy as processors trace it, its nodes unpacked, the eight children of one
+//! tested at once and the nearest entered first.
 //!
-//! A packed node has 80 bytes, as GPUs want it; unpacked it has 256, and nothing needs to be decoded where rays meet it.
+//! A packed node has 80 bytes, as GPUs want it; unpacked it has 256, and nothing needs to be decoded where rays meet
+//! it.
 
 use std::ops::Range;
 
@@ -22,8 +23,8 @@ const WIDTH: usize = 8;
 const STACK_SIZE: usize = (WIDTH - 1) * MOST_LEVELS;
 /// Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
-/// Intersection tests round differently from slab tests, and boxes were rounded when they were packed: they are wider by this share of
-/// the largest coordinate of their node.
+/// Intersection tests round differently from slab tests, and boxes were rounded when they were packed: they are wider
+/// by this share of the largest coordinate of their node.
 const MARGIN: f32 = 4.0 * f32::EPSILON;
 /// Directions nearer to 0 than this are taken for it, so that the inverse is finite.
 const TINY: f32 = 1e-20;
@@ -138,7 +139,8 @@ impl WideBvh {
                 let below = packed.child_node_index(k);
                 (Child(below), self.unpack(bvh, mesh, below))
             };
-            // A packed box is rounded out to a grid, but tells which part of a triangle in several leaves is in this one.
+            // A packed box is rounded out to a grid, but tells which part of a triangle in several leaves is in this
+            // one.
             let packed = packed.child_aabb(k);
             let (least, greatest) = (held.min.max(packed.min), held.max.min(packed.max));
             let held = Aabb::new(least - margin, greatest + margin);
@@ -162,7 +164,8 @@ impl WideBvh {
         self.search(origin, direction, t_max, portable)
     }
 
-    /// [`Self::closest`] with a test of nodes: when the ray enters each box, and, a bit each, whether it does before the greatest t.
+    /// [`Self::closest`] with a test of nodes: when the ray enters each box, and, a bit each, whether it does before
+    /// the greatest t.
     #[inline(always)]
     fn search(
         &self,

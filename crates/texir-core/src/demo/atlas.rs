@@ -10,8 +10,8 @@ use crate::error::{Error, Result};
 use crate::mesh::{Mesh, cross};
 use crate::raster::{Gray, Labels, Raster, Rgb};
 
-/// Charts start and end at multiples of this many texels, so that the atlas at half resolution, in which indirect light is
-/// solved, has the same charts at whole texels.
+/// Charts start and end at multiples of this many texels, so that the atlas at half resolution, in which indirect light
+/// is solved, has the same charts at whole texels.
 const ALIGN: usize = 2;
 /// Texels between charts, and half of it around the atlas.
 pub(super) const GUTTER: usize = 4;

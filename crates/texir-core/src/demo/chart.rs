@@ -121,8 +121,9 @@ impl Chart {
         Self::new(look, columns, rows, |s, t| Point { position: origin + right * s + up * t, normal })
     }
 
-    /// A surface of revolution about the frame's z axis. `profile` lists `(radius, z)`; the front is to the right of its
-    /// direction (outside, for a profile that climbs). `segments` must be a multiple of 4 to meet a [`Chart::disc`].
+    /// A surface of revolution about the frame's z axis. `profile` lists `(radius, z)`; the front is to the right of
+    /// its direction (outside, for a profile that climbs). `segments` must be a multiple of 4 to meet a
+    /// [`Chart::disc`].
     pub fn revolve(look: Look, frame: Frame, profile: &[(f32, f32)], segments: usize) -> Self {
         let at = |i: usize| Vec2::new(profile[i].0, profile[i].1);
         let last = profile.len() - 1;
@@ -147,8 +148,9 @@ impl Chart {
         Self { columns, rows, points, holes: Vec::new(), look }
     }
 
-    /// A disc of `segments` rim vertices (a multiple of 4) in the frame's plane z = 0, facing +z, or −z with `down`; the
-    /// square of the chart becomes the disc by the concentric map (Shirley and Chiu 1997), which spaces the rim evenly.
+    /// A disc of `segments` rim vertices (a multiple of 4) in the frame's plane z = 0, facing +z, or −z with `down`;
+    /// the square of the chart becomes the disc by the concentric map (Shirley and Chiu 1997), which spaces the rim
+    /// evenly.
     pub fn disc(look: Look, frame: Frame, radius: f32, segments: usize, down: bool) -> Self {
         let lines = even_lines(2.0 * radius, segments / 4);
         let flip = if down { -1.0 } else { 1.0 };

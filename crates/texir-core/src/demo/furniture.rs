@@ -135,8 +135,8 @@ impl<'a> Site<'a> {
         true
     }
 
-    /// A free place of `width` × `depth` metres against a wall: its frame has the origin on the floor at the corner from
-    /// which x runs along the wall and y into the room. `None` if the room is too full.
+    /// A free place of `width` × `depth` metres against a wall: its frame has the origin on the floor at the corner
+    /// from which x runs along the wall and y into the room. `None` if the room is too full.
     fn against_wall(&mut self, width: f32, depth: f32, tall: bool) -> Option<Frame> {
         let mut spots: Vec<(usize, f32)> = Vec::new();
         let walls = Wall::of(self.room.rect());

@@ -1,11 +1,11 @@
 //! The light that arrives at every texel, with all its bounces.
 //!
 //! Direct irradiance is sampled at every texel from emitters and from the cosine lobe, joined by multiple importance
-//! sampling (balance heuristic, Veach and Guibas 1995). Indirect irradiance is gathered at half the atlas' resolution: each
-//! texel traces its rays once and remembers which texels they met; the bounces are then iterated over these links until
-//! they converge, as in radiosity. A ray that meets a glossy surface also follows one sample of its specular lobe, so
-//! light that reaches a diffuse surface by way of one mirror-like reflection is included: of emitters as of surfaces.
-//! Chains of two or more specular reflections between diffuse ones are not.
+//! sampling (balance heuristic, Veach and Guibas 1995). Indirect irradiance is gathered at half the atlas' resolution:
+//! each texel traces its rays once and remembers which texels they met; the bounces are then iterated over these links
+//! until they converge, as in radiosity. A ray that meets a glossy surface also follows one sample of its specular
+//! lobe, so light that reaches a diffuse surface by way of one mirror-like reflection is included: of emitters as of
+//! surfaces. Chains of two or more specular reflections between diffuse ones are not.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -53,7 +53,8 @@ struct GatherRays {
     reflected_emission: Vec3,
 }
 
-/// Full irradiance E (π not divided out) per texel of the atlas; texels covered by other surfaces hold what is beside them.
+/// Full irradiance E (π not divided out) per texel of the atlas; texels covered by other surfaces hold what is beside
+/// them.
 pub(super) fn solve(world: &World, options: &RenderOptions, progress: &dyn Progress) -> Result<Rgb> {
     let flat = world.flat;
     let side = flat.albedo.width;

@@ -1,5 +1,5 @@
-//! The floor plan: rooms, doorways and windows, from a seed. Everything lies on a grid of 1/16 m, so that coordinates are
-//! exact in `f32` and neighbouring surfaces share their edges bit for bit.
+//! The floor plan: rooms, doorways and windows, from a seed. Everything lies on a grid of 1/16 m, so that coordinates
+//! are exact in `f32` and neighbouring surfaces share their edges bit for bit.
 
 use glam::Vec2;
 

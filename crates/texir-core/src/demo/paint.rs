@@ -81,7 +81,8 @@ impl Paint {
         Self { emission, ..Self::flat(Vec3::splat(0.6), 0.5) }
     }
 
-    /// The material at `st` on a chart of `size` metres. `variation` scales how much roughness varies within the surface.
+    /// The material at `st` on a chart of `size` metres. `variation` scales how much roughness varies within the
+    /// surface.
     pub fn at(&self, st: Vec2, size: Vec2, style: PaintStyle, variation: f32) -> Texel {
         let (albedo, relief) = self.draw(st, size);
         let albedo = match style {

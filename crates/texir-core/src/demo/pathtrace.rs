@@ -5,10 +5,10 @@
 //! by tracing: one lobe sample per sub-pixel sample and per bounce, and emitter samples, several at the first bounce,
 //! joined by multiple importance sampling.
 //!
-//! Included: every path of diffuse bounces; up to [`RenderOptions::specular_bounces`] specular reflections in a row before
-//! the camera; between diffuse surfaces up to one (caustics of lamps and of lit surfaces). Left out: longer chains of
-//! specular reflections, each of which reflects a few per cent. Irradiance is a texture,
-//! filtered along the surface: over one texel (about 2 cm, standard deviation) for direct light, over 6 cm for indirect.
+//! Included: every path of diffuse bounces; up to [`RenderOptions::specular_bounces`] specular reflections in a row
+//! before the camera; between diffuse surfaces up to one (caustics of lamps and of lit surfaces). Left out: longer
+//! chains of specular reflections, each of which reflects a few per cent. Irradiance is a texture, filtered along the
+//! surface: over one texel (about 2 cm, standard deviation) for direct light, over 6 cm for indirect.
 
 use glam::Vec3;
 use rayon::prelude::*;

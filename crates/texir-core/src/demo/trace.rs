@@ -70,7 +70,8 @@ impl<'a> World<'a> {
         })
     }
 
-    /// Whether nothing is in between two points. Mostly so: looking for the closest of what is takes little longer than for any.
+    /// Whether nothing is in between two points. Mostly so: looking for the closest of what is takes little longer than
+    /// for any.
     fn visible(&self, from: Vec3, to: Vec3) -> bool {
         let way = to - from;
         let length = way.length();
@@ -97,8 +98,8 @@ impl<'a> World<'a> {
         self.emitters.pdf(vertex.triangle, choice) * vertex.distance * vertex.distance / vertex.cosine.max(1e-6)
     }
 
-    /// Light drawn from an emitter: `(direction, emitted radiance, density per solid angle)`; `None` where the emitter is
-    /// hidden or turned away.
+    /// Light drawn from an emitter: `(direction, emitted radiance, density per solid angle)`; `None` where the emitter
+    /// is hidden or turned away.
     pub fn light(
         &self,
         position: Vec3,

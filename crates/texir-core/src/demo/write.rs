@@ -26,8 +26,9 @@ pub const FILES: [&str; 13] = [
     "mask",
 ];
 
-/// Writes `mesh.obj`, the views with their ground truth, the ground-truth textures and, last, `transforms.json`: a folder
-/// that was not finished is no capture. Images are OpenEXR (linear radiance, albedo, roughness) and PNG (ids, masks).
+/// Writes `mesh.obj`, the views with their ground truth, the ground-truth textures and, last, `transforms.json`: a
+/// folder that was not finished is no capture. Images are OpenEXR (linear radiance, albedo, roughness) and PNG (ids,
+/// masks).
 pub fn write(flat: &Flat, views: &[Rendered], folder: impl AsRef<Path>, progress: &dyn Progress) -> Result<()> {
     let folder = folder.as_ref();
     for name in ["hdr", "albedo", "roughness", "semantic", "room", "mask"] {

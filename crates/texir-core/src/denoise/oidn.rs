@@ -1,4 +1,5 @@
-//! Denoising by Intel's Open Image Denoise (2.x): a network that was trained on path-traced pictures, and sees a map as one.
+//! Denoising by Intel's Open Image Denoise (2.x): a network that was trained on path-traced pictures, and sees a map as
+//! one.
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use oidn::{Device, RayTracing};
@@ -6,9 +7,9 @@ use oidn::{Device, RayTracing};
 use crate::error::{Error, Result};
 use crate::raster::{Raster, Rgb};
 
-/// A map of linear RGB from 0 on without most of its noise; `normals`, unit vectors of a map of the same size, show the network
-/// where surfaces bend. Both are best continued beyond the charts. Errors when the library finds no device that it can
-/// run on, or no memory.
+/// A map of linear RGB from 0 on without most of its noise; `normals`, unit vectors of a map of the same size, show the
+/// network where surfaces bend. Both are best continued beyond the charts. Errors when the library finds no device that
+/// it can run on, or no memory.
 pub fn denoise(map: &Rgb, normals: &Rgb) -> Result<Rgb> {
     let (width, height) = map.size();
     if normals.size() != (width, height) {

@@ -58,8 +58,8 @@ fn camera(shift: f32) -> Camera {
     }
 }
 
-/// A training and a novel view whose images and truth are what the renderer shows of `textures`; the top row is masked, a
-/// pixel unknown.
+/// A training and a novel view whose images and truth are what the renderer shows of `textures`; the top row is masked,
+/// a pixel unknown.
 fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: &Textures) -> Capture {
     let seen = renderer.mipmapped(textures).unwrap();
     let views = [("a", 0.5, Split::Train), ("b", -0.5, Split::Novel)].map(|(name, shift, split)| {

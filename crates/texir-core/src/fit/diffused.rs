@@ -1,10 +1,11 @@
 //! The light that surfaces send, once their materials are known.
 //!
-//! What a texel of the HDR texture holds is what the views saw there, reflections of lamps and windows included, as if the
-//! surface sent that everywhere; and where no view sees, behind curtains and under beds, what is seen nearby, although it is
-//! mostly dark there. A surface of known material sends (a + s) E/π, averaged over all directions: a E/π is what the fit
-//! explains of the views by diffuse reflection, and s what a dielectric reflects specularly of uniform light. Irradiance of that
-//! light relaxes TexIR's assumption that what is captured is diffuse (Li et al. 2023, section 6).
+//! What a texel of the HDR texture holds is what the views saw there, reflections of lamps and windows included, as if
+//! the surface sent that everywhere; and where no view sees, behind curtains and under beds, what is seen nearby,
+//! although it is mostly dark there. A surface of known material sends (a + s) E/π, averaged over all directions: a E/π
+//! is what the fit explains of the views by diffuse reflection, and s what a dielectric reflects specularly of uniform
+//! light. Irradiance of that light relaxes TexIR's assumption that what is captured is diffuse (Li et al. 2023, section
+//! 6).
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -15,8 +16,8 @@ use crate::brdf::DIELECTRIC_SPECULAR;
 use crate::capture::{Coverage, Tbl};
 use crate::raster::{Mask, Rgb};
 
-/// Radiance that every texel sends. Light sources, metals, and what is captured though none of the pixels fitted shows it
-/// (`is_fitted`, per texel) send what was captured.
+/// Radiance that every texel sends. Light sources, metals, and what is captured though none of the pixels fitted shows
+/// it (`is_fitted`, per texel) send what was captured.
 pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask, is_fitted: &[bool]) -> Rgb {
     let sent = |(&t, is_fitted): (&u32, &bool)| -> [f32; 3] {
         let t = t as usize;
@@ -104,8 +105,8 @@ mod tests {
         let truth = authored::irradiance(&mut backend, &texels, &surfaces, &bounces, &none, &Silent).unwrap();
         let truth: Vec<f32> = truth.solution.into_baked().unwrap().irradiance.iter().map(|e| e[0]).collect();
 
-        // The wall at x = 0 is not seen, and was taken to be three times as bright as it is; the floor's half at y < 1.5 m shines
-        // twice as bright towards the views as on average.
+        // The wall at x = 0 is not seen, and was taken to be three times as bright as it is; the floor's half at y <
+        // 1.5 m shines twice as bright towards the views as on average.
         let hidden = |i: usize| atlas.points[i].normal[0] > 0.5;
         let glossy = |i: usize| atlas.points[i].normal[2] > 0.5 && atlas.points[i].position[1] < 1.5;
         let reflected = |i: usize| (ALBEDO + DIELECTRIC_SPECULAR) * FRAC_1_PI * truth[i];

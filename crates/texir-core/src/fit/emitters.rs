@@ -1,6 +1,6 @@
 //! Light sources: texels that send out more than they can reflect.
 
-use super::adjacency::Adjacency;
+use super::adjacency::{Adjacency, NONE};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::capture::{Coverage, Tbl, View};
@@ -11,11 +11,15 @@ use crate::raster::{Mask, Rgb, luminance, mean_of_channels};
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 
-/// Finds the texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and that
-/// stand out from the scene, L > ratio · mean L; in luminance (Rec. 709). Where views see such a texel, the median of what
-/// they see must pass as well: in the texture, a lamp bleeds into what is seen beside and behind it. What is joined to such
-/// texels on the surface belongs to them as long as it passes half the `ratio`: the darker part of a window, a lamp's shade.
-/// What no view sees is a light source only where the texture was filled with one's light: elsewhere it may well be brighter
+/// The largest hole in light sources, as a share of all of them.
+const HOLE: f32 = 0.1;
+
+/// Finds the texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
+/// that stand out from the scene, L > ratio · mean L; in luminance (Rec. 709). Where views see such a texel, the median
+/// of what they see must pass as well: in the texture, a lamp bleeds into what is seen beside and behind it. What is
+/// joined to such texels on the surface belongs to them as long as it passes half the `ratio`: the darker part of a
+/// window, a lamp's shade. What they enclose on the surface is one of them: irradiance is noisy close to them. What no
+/// view sees is a light source only where the texture was filled with one's light: elsewhere it may well be brighter
 /// than the little that arrives in the gap behind a wardrobe.
 pub fn find(
     backend: &mut dyn Backend,
@@ -57,7 +61,43 @@ pub fn find(
             }
         }
     }
+    for i in holes(adjacency, |i| mask.data[atlas.texels[i as usize] as usize]) {
+        mask.data[atlas.texels[i as usize] as usize] = true;
+    }
     Ok(mask)
+}
+
+/// Texels that what `shines` encloses on its surface, up to [`HOLE`] at a place: one pane does not shine but for a
+/// speck.
+fn holes(adjacency: &Adjacency, shines: impl Fn(u32) -> bool) -> Vec<u32> {
+    let texels = adjacency.beside.len() as u32;
+    let most = ((0..texels).filter(|&i| shines(i)).count() as f32 * HOLE) as usize;
+    let mut place = vec![u32::MAX; texels as usize];
+    let mut all = Vec::new();
+    let beside_one = |i: &u32| adjacency.around(*i).any(&shines);
+    for first in (0..texels).filter(|i| !shines(*i)).filter(beside_one) {
+        if place[first as usize] != u32::MAX {
+            continue;
+        }
+        place[first as usize] = first;
+        let (mut hole, mut k, mut enclosed) = (vec![first], 0, true);
+        while enclosed && k < hole.len() {
+            enclosed = hole.len() <= most && !adjacency.beside[hole[k] as usize].contains(&NONE);
+            for n in adjacency.around(hole[k]).filter(|n| !shines(*n)) {
+                // One that was looked at before was no hole.
+                enclosed &= [u32::MAX, first].contains(&place[n as usize]);
+                if place[n as usize] == u32::MAX {
+                    place[n as usize] = first;
+                    hole.push(n);
+                }
+            }
+            k += 1;
+        }
+        if enclosed {
+            all.append(&mut hole);
+        }
+    }
+    all
 }
 
 /// Luminances of the pixels that show each of the given texels, as far as they are known.
@@ -129,5 +169,21 @@ mod tests {
         radiance.data[LAMP] = [0.4; 3];
         let dim = found(&radiance, &coverage, &views);
         assert_eq!(dim, [0; 0], "a dim surface beside nothing that glows is no light source");
+    }
+
+    #[test]
+    fn what_light_sources_enclose_is_one_of_them() {
+        let adjacency = LitSquare::new().adjacency;
+        let place = |t: u32| [t as usize % SIDE, t as usize / SIDE];
+        let pane = |t: u32| place(t).iter().all(|at| (1..SIDE - 1).contains(at));
+        let filled = |dark: &[[usize; 2]]| {
+            let mut holes = holes(&adjacency, |t| pane(t) && !dark.contains(&place(t)));
+            holes.sort_unstable();
+            holes.into_iter().map(place).collect::<Vec<_>>()
+        };
+        assert_eq!(filled(&[[3, 3], [4, 3], [5, 5]]), [[3, 3], [4, 3], [5, 5]]);
+        // Open to the rest at one place; and as large as a thing of its own.
+        assert_eq!(filled(&[[1, 3], [2, 3]]), [[0; 2]; 0]);
+        assert_eq!(filled(&[[3, 3], [4, 3], [3, 4], [4, 4]]), [[0; 2]; 0]);
     }
 }

@@ -1,6 +1,5 @@
 //! What a fit sets out with: the light of the scene, in a unit that numbers here hold well, and the views.
 
-use std::ops::RangeInclusive;
 use std::path::Path;
 
 use super::memory;
@@ -10,8 +9,8 @@ use crate::backend::Backend;
 use crate::capture::survey::Survey;
 use crate::capture::{Tbl, View};
 use crate::error::Result;
+use crate::light_unit::{scale, unit};
 use crate::progress::Progress;
-use crate::raster::Rgb;
 use crate::tbl::{self, TblOptions};
 
 /// What a fit sets out with.
@@ -26,7 +25,8 @@ pub(super) struct Lighting {
     pub unit: f32,
 }
 
-/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training views.
+/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training
+/// views.
 pub(super) fn lighting(
     backend: &mut dyn Backend,
     (given, mut training): (Option<&Path>, Vec<View>),
@@ -70,24 +70,6 @@ pub(super) fn lighting(
     Ok(Lighting { tbl, atlas, training, views, unit })
 }
 
-/// Views are this bright on average, about, for light to be computed with in half floats and shared exponents.
-const USUAL: RangeInclusive<f64> = 1e-3..=1e3;
-
-/// What light is multiplied with while a fit goes on: 1, unless views of this mean radiance are in a unit of which numbers here hold too
-/// little; a power of two.
-fn unit(radiance: f64) -> f32 {
-    let is_usual = USUAL.contains(&radiance) || !(radiance > 0.0 && radiance.is_finite());
-    // The inverse is a number as well.
-    if is_usual { 1.0 } else { (-radiance.log2()).round().clamp(-120.0, 120.0).exp2() as f32 }
-}
-
-/// Light in another unit.
-pub(super) fn scale(map: &mut Rgb, factor: f32) {
-    if factor != 1.0 {
-        map.data.iter_mut().for_each(|pixel| *pixel = pixel.map(|v| v * factor));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Mutex;
@@ -96,18 +78,7 @@ mod tests {
 
     use super::*;
     use crate::fit::lit_square::{LitSquare, SIDE};
-
-    #[test]
-    fn light_of_unusual_brightness_is_brought_to_about_one_and_back() {
-        assert_eq!([1e-3, 0.3, 1.0, 1e3, 0.0, f64::NAN, f64::INFINITY].map(unit), [1.0; 7]);
-        for radiance in [1e-300, 1e-30, 1e-4, 2e3, 1e30, 1e300] {
-            let unit = unit(radiance);
-            assert!(unit.is_normal() && unit.recip().is_normal() && unit * unit.recip() == 1.0, "{radiance}: {unit}");
-        }
-        for radiance in [1e-30, 1e-4, 2e3, 1e30] {
-            assert!((0.7..1.5).contains(&(radiance * f64::from(unit(radiance)))), "{radiance}");
-        }
-    }
+    use crate::raster::Rgb;
 
     /// Takes down what is begun.
     #[derive(Default)]

@@ -21,12 +21,12 @@ const TRIES: usize = 8;
 /// Bytes that a texel of the atlas (valid or not) and a pixel take, as measured.
 fn bytes_of(settings: &FitSettings) -> (u64, u64) {
     match settings.mode {
-        // Four channels of parameters, gradients, two moments, lighting and irradiance, with mips; footprints of about 12
-        // taps per sub-pixel, both ways.
+        // Four channels of parameters, gradients, two moments, lighting and irradiance, with mips; footprints of about
+        // 12 taps per sub-pixel, both ways.
         Mode::Paper => (150, (settings.footprint_samples * settings.footprint_samples) as u64 * 192),
-        // Points, neighbours, lighting, and votes, or later albedo with solver vectors; a footprint of 8 taps, a curve, costs by
-        // roughness, solver vectors. A first round has costs under two models, and a quarter of the curves; without one, the last
-        // has both. Where metals are sought, other curves and costs are added.
+        // Points, neighbours, lighting, and votes, or later albedo with solver vectors; a footprint of 8 taps, a curve,
+        // costs by roughness, solver vectors. A first round has costs under two models, and a quarter of the curves;
+        // without one, the last has both. Where metals are sought, other curves and costs are added.
         Mode::Full => {
             let two_models = if settings.full.alternations == 0 { 50 } else { 0 };
             let metals = if settings.full.metallic.enabled { 170 } else { 0 };
@@ -41,15 +41,17 @@ pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u
     ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + Scene::memory(mesh))
 }
 
-/// Side of the atlas of a fit that is told none: [`tbl::default_side`], as far as its textures leave half of the memory to views.
+/// Side of the atlas of a fit that is told none: [`tbl::default_side`], as far as its textures leave half of the memory
+/// to views.
 pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usize {
     let side = tbl::default_side(views);
     let textures = needed(settings, (side, side), 0, mesh).0;
     if 2 * textures <= settings.max_memory.0 { side } else { tbl::DEFAULT_SIZE }
 }
 
-/// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the fit
-/// keeps to `settings.max_memory`; as many of them a step less far as that allows. Errors when the textures alone exceed it.
+/// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the
+/// fit keeps to `settings.max_memory`; as many of them a step less far as that allows. Errors when the textures alone
+/// exceed it.
 pub fn affordable(
     views: &[View],
     (mesh, atlas): (&Mesh, &Atlas),
@@ -122,7 +124,8 @@ fn counted(number: u64) -> String {
     }
 }
 
-/// All of `0..count` in an order whose first few are spread over the whole: by the fractions of multiples of the golden section.
+/// All of `0..count` in an order whose first few are spread over the whole: by the fractions of multiples of the golden
+/// section.
 fn spread(count: usize) -> Vec<usize> {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let mut order: Vec<usize> = (0..count).collect();

@@ -1,17 +1,17 @@
 //! The fit: from a capture to albedo and roughness textures.
 //!
-//! rooms → texture-based lighting → irradiance → materials, in one of two modes: [`paper`] or [`full`].
+//! rooms → texture-based lighting → irradiance → materials, in one of two modes: that of the paper, or full.
 
-pub mod adam;
-pub mod adjacency;
-pub mod diffused;
-pub mod emitters;
-pub mod full;
+mod adam;
+mod adjacency;
+mod diffused;
+mod emitters;
+mod full;
 mod lighting;
 #[cfg(test)]
 mod lit_square;
 pub mod memory;
-pub mod paper;
+mod paper;
 pub mod settings;
 mod told;
 
@@ -21,7 +21,7 @@ use std::time::Instant;
 
 use adjacency::Adjacency;
 use glam::Vec3;
-use lighting::{Lighting, lighting, scale};
+use lighting::{Lighting, lighting};
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
@@ -31,12 +31,13 @@ use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
+use crate::light_unit::scale;
 use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::Textures;
 use crate::rooms::{self, FloorPlan, RoomOptions};
-pub use paper::stages::{EpochLog, Stage};
+pub use paper::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
 /// What both modes start from: the light of the scene, and where its texels are.
@@ -84,7 +85,8 @@ pub struct Materials {
 /// What a fit yields, all in the same atlas.
 #[derive(Clone, Debug)]
 pub struct FitResult {
-    /// Materials, irradiance, and emission: where the TBL is a light source, what is left of it without what is reflected.
+    /// Materials, irradiance, and emission: where the TBL is a light source, what is left of it without what is
+    /// reflected.
     pub textures: Textures,
     /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
     pub confidence: Option<Gray>,
@@ -96,8 +98,8 @@ pub struct FitResult {
     pub timings: Vec<(String, f64)>,
 }
 
-/// Fits a capture, whose mesh the backend's scene has; `log` receives one entry per epoch of paper mode. With `checkpoints` of
-/// the same [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
+/// Fits a capture, whose mesh the backend's scene has; `log` receives one entry per epoch of paper mode. With
+/// `checkpoints` of the same [`identity`], a fit goes on where an earlier one was stopped, and ends with the same bits.
 pub fn fit(
     backend: &mut dyn Backend,
     capture: &Capture,
@@ -133,7 +135,8 @@ pub fn fit(
     let texel = atlas.typical_texel(&scene.mesh);
     let rays = settings.irradiance_rays(texel);
     let gather = Gather::new(rays - rays / 2, rays / 2, settings.seed);
-    // Where it is gathered again it only has to tell what light surfaces send, and most of that is known from the views.
+    // Where it is gathered again it only has to tell what light surfaces send, and most of that is known from the
+    // views.
     let bake = if settings.bakes() > 1 { bake::thinned } else { bake::denoised };
     let irradiance = outside(bake(backend, &atlas, gather, checkpoints, progress)?, &atlas);
     timings.mark("irradiance");
@@ -180,8 +183,8 @@ pub fn fit(
     Ok(FitResult { textures, confidence, tbl, plan, timings: timings.entries })
 }
 
-/// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by their
-/// size and the time they were written.
+/// What a fit depends on, in one line each: as long as none of it changes, [`Checkpoints`] hold. Files are known by
+/// their size and the time they were written.
 pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend) -> Result<String> {
     let mut hasher = DefaultHasher::new();
     bytemuck::cast_slice::<_, u8>(&capture.mesh.positions).hash(&mut hasher);
@@ -207,8 +210,8 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
     Ok(format!("texir {version}\n{name}\ncapture {captured:016x}\n{settings:?}\n"))
 }
 
-/// Irradiance of an atlas. What texels inside other geometry gather is no light of the room: they have none, but for the rim, which takes
-/// what is lit beside it.
+/// Irradiance of an atlas. What texels inside other geometry gather is no light of the room: they have none, but for
+/// the rim, which takes what is lit beside it.
 fn outside(mut baked: Baked, atlas: &Atlas) -> Rgb {
     baked.irradiance.iter_mut().zip(&baked.buried).filter(|(_, inside)| **inside).for_each(|(e, _)| *e = [0.0; 3]);
     baked.map(atlas, bake::Buried::Fill)
@@ -273,5 +276,24 @@ mod tests {
             emitted((&map([2.0, 1.0, 0.1]), &emitters), &materials).data,
             [[1.5, 0.5, 0.0], [2.0, 1.0, 0.1], [0.0; 3]]
         );
+    }
+
+    #[test]
+    fn what_is_inside_other_geometry_has_no_light_but_for_the_rim() {
+        let square = lit_square::LitSquare::new();
+        let atlas = &square.atlas;
+        // The left half is buried, and gathered nonsense.
+        let inside: Vec<bool> =
+            atlas.texels.iter().map(|t| *t as usize % lit_square::SIDE < lit_square::SIDE / 2).collect();
+        let baked = Baked {
+            irradiance: inside.iter().map(|inside| if *inside { [9.0; 3] } else { [1.0; 3] }).collect(),
+            buried: inside.clone(),
+            standard_error: None,
+            rays: 0,
+        };
+        let map = outside(baked, atlas);
+        assert!(map.data.iter().flatten().all(|e| *e <= 1.0), "nonsense is left");
+        let beside = lit_square::SIDE / 2 - 1;
+        assert_eq!(map.data[3 * lit_square::SIDE + beside], [1.0; 3], "the rim takes what is lit beside it");
     }
 }

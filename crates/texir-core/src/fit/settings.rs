@@ -53,20 +53,21 @@ pub struct FitSettings {
     pub seed: u32,
     /// How materials are found.
     pub mode: Mode,
-    /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size, or without one what suits the views
-    /// ([`crate::fit::memory::default_side`]).
+    /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size, or without one what suits the
+    /// views ([`crate::fit::memory::default_side`]).
     pub atlas_size: usize,
-    /// Rays per texel of the irradiance bake, half of them to the light sources; 0 lets them follow the texels' area, see
-    /// [`FitSettings::irradiance_rays`].
+    /// Rays per texel of the irradiance bake, half of them to the light sources; 0 lets them follow the texels' area,
+    /// see [`FitSettings::irradiance_rays`].
     pub irradiance_samples: u32,
     /// What the fit may have in memory, such as "2 GiB": views are read at a lower resolution to keep to it.
     pub max_memory: ByteSize,
     /// Specular samples per pixel and step.
     pub specular_samples: u32,
-    /// Paper mode: take diffuse light from the irradiance that was baked. Otherwise every step gathers it anew, with as many
-    /// cosine-distributed rays per pixel as `specular_samples` (the paper's source TBL, Figure 8).
+    /// Paper mode: take diffuse light from the irradiance that was baked. Otherwise every step gathers it anew, with as
+    /// many cosine-distributed rays per pixel as `specular_samples` (the paper's source TBL, Figure 8).
     pub precomputed_irradiance: bool,
-    /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect: L > ratio · E/π.
+    /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect: L > ratio ·
+    /// E/π.
     pub emitter_ratio: f32,
     /// Which roughness gradient the adjoint uses.
     pub gradient: RoughnessGradient,
@@ -90,11 +91,12 @@ pub struct FitSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FullSettings {
-    /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one built
-    /// from the views are.
+    /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one
+    /// built from the views are.
     pub resolve_sources: bool,
-    /// How often irradiance is gathered anew, and everything fitted to it, under the light that surfaces send by the materials
-    /// found so far: without highlights, and where no view sees as well. 0: the HDR texture is taken as it is.
+    /// How often irradiance is gathered anew, and everything fitted to it, under the light that surfaces send by the
+    /// materials found so far: without highlights, and where no view sees as well. 0: the HDR texture is taken as it
+    /// is.
     pub alternations: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
@@ -104,8 +106,8 @@ pub struct FullSettings {
     pub cosine_samples: u32,
     /// and to the light sources.
     pub light_samples: u32,
-    /// Blocks lend each other their light samples while what they reflect turns by little beside this share of a lobe's width
-    /// α; 0: not at all.
+    /// Blocks lend each other their light samples while what they reflect turns by little beside this share of a lobe's
+    /// width α; 0: not at all.
     pub curve_sharing: f32,
     /// How the microfacets of highlights hide each other: `smith`, as engines have it, or `schlick`, as the paper does.
     pub masking: Masking,
@@ -127,8 +129,8 @@ pub struct FullSettings {
 pub struct MetallicSettings {
     /// Look for metals; without, everything is a dielectric.
     pub enabled: bool,
-    /// By how much metal must explain a segment better than a dielectric: the fall of the logarithm of its mean cost. Few things
-    /// in a room are bare metal.
+    /// By how much metal must explain a segment better than a dielectric: the fall of the logarithm of its mean cost.
+    /// Few things in a room are bare metal.
     pub gain: f32,
     /// Roughness up to which metal can be told from a dielectric.
     pub roughest: f32,
@@ -170,8 +172,8 @@ impl FullSettings {
         rounds
     }
 
-    /// For a round that only has to tell what light surfaces send, and by which diffuse model: a third of the light samples for blocks
-    /// twice as wide, no joints.
+    /// For a round that only has to tell what light surfaces send, and by which diffuse model: a third of the light
+    /// samples for blocks twice as wide, no joints.
     fn coarse(&self) -> Self {
         let mut coarse = self.clone();
         for samples in [&mut coarse.lobe_samples, &mut coarse.cosine_samples, &mut coarse.light_samples] {
@@ -201,8 +203,8 @@ impl DiffuseChoice {
 pub struct LocalSettings {
     /// Edge of a block, metres.
     pub block: f32,
-    /// By how much a second finish must explain what half of the views see, where the other half asks for it, to be believed half:
-    /// the fall of the logarithm of the mean cost.
+    /// By how much a second finish must explain what half of the views see, where the other half asks for it, to be
+    /// believed half: the fall of the logarithm of the mean cost.
     pub gain: f32,
     /// Pixels that must see it for half of that gain to count.
     pub half_pixels: f32,
@@ -240,8 +242,8 @@ impl Default for KinSettings {
 pub struct OwnSettings {
     /// Pull of the segment's on it.
     pub pull: f32,
-    /// By how much it must explain the part's pixels better to be believed half, where each half of the views judges by the one that
-    /// the other half asks for: the fall of the logarithm of the mean cost,
+    /// By how much it must explain the part's pixels better to be believed half, where each half of the views judges by
+    /// the one that the other half asks for: the fall of the logarithm of the mean cost,
     pub agreement: f32,
     /// which counts half with so many pixels, and less with fewer.
     pub half_pixels: f32,
@@ -265,7 +267,8 @@ pub struct JointSettings {
     pub width: f32,
     /// How straight lines are told: a segment has those of the first kind of which it has enough.
     pub straight: Vec<Straight>,
-    /// By how much lines of any course are darker or brighter than what is around them, in ln a, where a segment has no straight ones.
+    /// By how much lines of any course are darker or brighter than what is around them, in ln a, where a segment has no
+    /// straight ones.
     pub contrast: f32,
     /// How long those must be, metres, counted in texels that touch.
     pub length: f32,
@@ -312,8 +315,8 @@ pub struct AlbedoSettings {
     pub noise: f32,
     /// this share of its apparent albedo I π/E,
     pub image_noise: f32,
-    /// and, once roughness is known, this share of the specular radiance that is taken off, as an albedo: where highlights are
-    /// bright, what is left is known badly.
+    /// and, once roughness is known, this share of the specular radiance that is taken off, as an albedo: where
+    /// highlights are bright, what is left is known badly.
     pub specular_noise: f32,
     /// Weight of the difference between neighbours, where a pixel of least noise has 1.
     pub smoothness: f32,
@@ -327,8 +330,8 @@ pub struct AlbedoSettings {
     pub iterations: u32,
 }
 
-/// Roughness by a scan, and how groups follow their parents: pulls weigh (2 (r − r_parent))² against the logarithm of the mean
-/// cost, so that a pull of 0.1 holds what is 0.5 away as a tenth more of misfit would.
+/// Roughness by a scan, and how groups follow their parents: pulls weigh (2 (r − r_parent))² against the logarithm of
+/// the mean cost, so that a pull of 0.1 holds what is 0.5 away as a tenth more of misfit would.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RoughnessSettings {
@@ -344,8 +347,8 @@ pub struct RoughnessSettings {
     pub every: u32,
     /// Pixels seen at a smaller cosine do not count: models of grazing reflectance differ most.
     pub min_cosine: f32,
-    /// Pixels within this angle, degrees, of one that is left out do not count, nor does the one beside it: it may hold a sliver of
-    /// a light source.
+    /// Pixels within this angle, degrees, of one that is left out do not count, nor does the one beside it: it may hold
+    /// a sliver of a light source.
     pub rim: f32,
     /// Largest roughness: beyond it lobes cannot be told apart.
     pub cap: f32,
@@ -375,8 +378,8 @@ pub struct OptimiserSettings {
     pub learning_rate: f32,
     /// Factor on the step size every `decay_epochs`.
     pub decay: f32,
-    /// Epochs between two decays. The paper's 20 leave a last step of 0.02, which is seen as noise in the textures; 5 end
-    /// at 0.005.
+    /// Epochs between two decays. The paper's 20 leave a last step of 0.02, which is seen as noise in the textures; 5
+    /// end at 0.005.
     pub decay_epochs: u32,
     /// Passes over the views, per stage.
     pub epochs: u32,
@@ -651,8 +654,9 @@ impl FullSettings {
 }
 
 impl FitSettings {
-    /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces, not over
-    /// texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128 or 64 for finer ones.
+    /// Rays per texel of the irradiance bake, for texels of the given edge in metres. Irradiance varies over surfaces,
+    /// not over texels, and the denoiser gathers from those around: 256 rays for texels of about 2.5 cm and more, 128
+    /// or 64 for finer ones.
     pub fn irradiance_rays(&self, texel: f32) -> u32 {
         match self.irradiance_samples {
             0 => 256 >> (2.0 * (0.025 / texel).log2()).round().clamp(0.0, 2.0) as u32,
@@ -776,8 +780,8 @@ mod tests {
         let settings = FullSettings::default();
         let rounds = settings.rounds();
         assert!(rounds.len() == 2 && rounds[1] == settings);
-        // By pixels that are 1.4°, 0.7° and 0.35° wide: the last round's rays, 176 per block of 0.7° at least, and the first's, 60 per
-        // block of twice that.
+        // By pixels that are 1.4°, 0.7° and 0.35° wide: the last round's rays, 176 per block of 0.7° at least, and the
+        // first's, 60 per block of twice that.
         let per_pixel = |projection: Projection, width: usize| {
             let camera = Camera { projection, width, height: width / 2, world_from_camera: glam::Mat4::IDENTITY };
             assert!(rounds[0].squares(&camera).count() <= rounds[1].squares(&camera).count());

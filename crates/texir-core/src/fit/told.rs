@@ -24,7 +24,8 @@ pub(super) fn little_seen(atlas: &Atlas, mesh: &Mesh, is_seen: &[bool]) -> Optio
     })
 }
 
-/// What to tell the user where much of the surface that views see would have to reflect all light: there must be more of it.
+/// What to tell the user where much of the surface that views see would have to reflect all light: there must be more
+/// of it.
 pub(super) fn too_bright(albedo: &Rgb, emitters: &Mask, tbl: &Tbl) -> Option<String> {
     /// Albedo from here on is more than paint has.
     const WHITE: f32 = 0.97;

@@ -1,8 +1,8 @@
 //! Mutated files: whatever their bytes are, reading them ends in a result or an error, never in a panic, and never asks
 //! for more memory at once than a [`Bound`] that grows with the file.
 //!
-//! `TEXIR_FUZZ_SECONDS=60 cargo test --release -p texir-core fuzz -- --show-output` mutates every file for a minute instead
-//! of the few cases of every test run, and says how many there were.
+//! `TEXIR_FUZZ_SECONDS=60 cargo test --release -p texir-core fuzz -- --show-output` mutates every file for a minute
+//! instead of the few cases of every test run, and says how many there were.
 
 mod files;
 

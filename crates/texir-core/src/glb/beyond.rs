@@ -1,57 +1,39 @@
 //! What images hold beyond the charts: engines make mips of them, and these would darken towards an empty atlas.
 
 use crate::raster::Raster;
+use crate::texture::Pyramid;
 
-/// One level of a pyramid, of which some texels are known.
-struct Level<const N: usize> {
-    width: usize,
-    height: usize,
-    values: Vec<Option<[f32; N]>>,
-}
-
-impl<const N: usize> Level<N> {
-    /// The next one: the mean of those of every 2 × 2 texels that are known.
-    fn halved(&self) -> Self {
-        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
-        let mean = |k: usize| {
-            let (x, y) = (2 * (k % width), 2 * (k / width));
-            let (mut sum, mut count) = ([0.0; N], 0.0);
-            for (x, y) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)] {
-                if x < self.width
-                    && y < self.height
-                    && let Some(value) = self.values[y * self.width + x]
-                {
-                    (0..N).for_each(|c| sum[c] += value[c]);
-                    count += 1.0;
-                }
-            }
-            (count > 0.0).then(|| sum.map(|sum| sum / count))
-        };
-        Self { width, height, values: (0..width * height).map(mean).collect() }
+/// A map of which texels that are not `known` have the mean of those in the smallest square of 2ᵏ texels around them
+/// that are. Every mip of it, by averaging 2 × 2 texels, is then the mean of those of its four that hold something
+/// known. Black where nothing is.
+pub(super) fn filled<const N: usize>(map: &Raster<[f32; N]>, known: &[bool]) -> Raster<[f32; N]> {
+    let levels = Pyramid::new(map.width, map.height, known).levels;
+    let mut values: Vec<Option<[f32; N]>> =
+        map.data.iter().zip(known).map(|(value, known)| known.then_some(*value)).collect();
+    // Every texel of a level but the finest, with its children on the one before.
+    let families = || {
+        levels.windows(2).flat_map(|pair| {
+            let [fine, coarse] = [pair[0], pair[1]];
+            let texels = 0..coarse.width * coarse.height;
+            texels.map(move |k| (coarse.offset + k, Pyramid::children(&fine, k % coarse.width, k / coarse.width)))
+        })
+    };
+    for (_, children) in families() {
+        values.push(mean(children.iter().flatten().filter_map(|child| values[*child])));
     }
-
-    /// Gives what is not known the value of the texel of the next level that it is part of.
-    fn fill(&mut self, next: &Self) {
-        for (k, value) in self.values.iter_mut().enumerate().filter(|(_, value)| value.is_none()) {
-            *value = next.values[k / self.width / 2 * next.width + k % self.width / 2];
+    for (parent, children) in families().rev() {
+        for child in children.into_iter().flatten() {
+            values[child] = values[child].or(values[parent]);
         }
     }
+    let data = values[..map.data.len()].iter().map(|value| value.unwrap_or([0.0; N])).collect();
+    Raster { data, ..*map }
 }
 
-/// A map of which texels that are not `known` have the mean of those in the smallest square of 2ᵏ texels around them that are.
-/// Every mip of it, by averaging 2 × 2 texels, is then the mean of what is known alone. Black where nothing is.
-pub(super) fn filled<const N: usize>(map: &Raster<[f32; N]>, known: &[bool]) -> Raster<[f32; N]> {
-    let values = map.data.iter().zip(known).map(|(value, known)| known.then_some(*value)).collect();
-    let mut levels = vec![Level { width: map.width, height: map.height, values }];
-    while let Some(last) = levels.last().filter(|last| last.values.len() > 1) {
-        levels.push(last.halved());
-    }
-    for k in (1..levels.len()).rev() {
-        let (fine, coarse) = levels.split_at_mut(k);
-        fine[k - 1].fill(&coarse[0]);
-    }
-    let data = levels.swap_remove(0).values.into_iter().map(|value| value.unwrap_or([0.0; N])).collect();
-    Raster { data, ..*map }
+fn mean<const N: usize>(values: impl Iterator<Item = [f32; N]>) -> Option<[f32; N]> {
+    let (sum, count) =
+        values.fold(([0.0; N], 0.0), |(sum, count), value| (std::array::from_fn(|c| sum[c] + value[c]), count + 1.0));
+    (count > 0.0).then(|| sum.map(|sum| sum / count))
 }
 
 #[cfg(test)]
@@ -80,16 +62,15 @@ mod tests {
         assert!(near(map.data[0], [0.25, 0.8]) && near(map.data[3], [0.4, 0.8]), "{:?} {:?}", map.data[0], map.data[3]);
         assert!(near(map.data[3 * width], [0.25, 0.8]) && near(map.data[4], map.data[5]));
         assert!(near(map.data[4 * width + 4], [0.9, 0.1]));
-        // A mip in which the chart is one of two texels that are known.
-        let level = |map: &Raster<[f32; 2]>, known: bool| Level {
-            width,
-            height,
-            values: map.data.iter().enumerate().map(|(k, v)| (!known || value(k).is_some()).then_some(*v)).collect(),
-        };
-        let (all, charts) = (level(&map, false).halved(), level(&map, true).halved());
-        for (mip, chart) in all.values.iter().zip(&charts.values).filter(|(_, chart)| chart.is_some()) {
-            assert!(near(mip.unwrap(), chart.unwrap()), "{mip:?} {chart:?}");
-        }
+        // The second mip's first texel: of its sixteen, six are the chart's, of three of its four.
+        let texel = |x: usize, y: usize| map.data[y * width + x][0];
+        let quarter =
+            |x: usize, y: usize| (texel(x, y) + texel(x + 1, y) + texel(x, y + 1) + texel(x + 1, y + 1)) / 4.0;
+        let quarters = [quarter(0, 0), quarter(2, 0), quarter(0, 2), quarter(2, 2)];
+        assert!(
+            quarters.iter().zip([0.25, 0.4, 0.25, 0.4]).all(|(found, mean)| (found - mean).abs() < 1e-6),
+            "{quarters:?}"
+        );
         // Nothing is known.
         assert!(filled(&map, &vec![false; width * height]).data.iter().all(|v| *v == [0.0; 2]));
     }

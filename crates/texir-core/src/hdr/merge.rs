@@ -1,10 +1,10 @@
 //! Weighted sums over the shots.
 //!
-//! A shot's estimate of radiance is light / exposure; its weight is the inverse of that estimate's variance (shot and read
-//! noise, quantisation): the least noisy unbiased sum (Granados et al., "Optimal HDR Reconstruction with Linear Digital
-//! Cameras", CVPR 2010). Variances are taken at the radiance of the pixel's anchor, not of the shot itself: a weight
-//! that knows its own noise is biased. The anchor is the first usable shot, in an order that starts with the reference; shots
-//! that disagree with it saw something that moved and are left out.
+//! A shot's estimate of radiance is light / exposure; its weight is the inverse of that estimate's variance (shot and
+//! read noise, quantisation): the least noisy unbiased sum (Granados et al., "Optimal HDR Reconstruction with Linear
+//! Digital Cameras", CVPR 2010). Variances are taken at the radiance of the pixel's anchor, not of the shot itself: a
+//! weight that knows its own noise is biased. The anchor is the first usable shot, in an order that starts with the
+//! reference; shots that disagree with it saw something that moved and are left out.
 
 use rayon::prelude::*;
 
@@ -17,8 +17,8 @@ const GHOST_DEVIATIONS: f32 = 5.0;
 /// Relative difference between shots that is forgiven beside noise: response and exposure times are not exact.
 const GHOST_TOLERANCE: f32 = 0.08;
 
-/// The order in which shots are merged: the one with the most usable pixels first, then by how near their exposures are to
-/// that one's.
+/// The order in which shots are merged: the one with the most usable pixels first, then by how near their exposures are
+/// to that one's.
 pub(super) fn order(samples: &[Vec<[f32; 3]>], exposures: &[f64]) -> Vec<usize> {
     let usable = |shot: usize| {
         let well = |v: &[f32; 3]| v.iter().all(|v| *v > BLACK && *v < CLIPPED);

@@ -52,8 +52,8 @@ pub struct Merged {
     pub ghosts: usize,
 }
 
-/// How noise grows with light, in units of a sensor's full scale: var = SHOT · light + READ. Typical for cameras at base
-/// ISO (20,000 electrons at full scale, 5 of read noise); only their ratio matters to the weights.
+/// How noise grows with light, in units of a sensor's full scale: var = SHOT · light + READ. Typical for cameras at
+/// base ISO (20,000 electrons at full scale, 5 of read noise); only their ratio matters to the weights.
 mod noise {
     /// One electron.
     pub const SHOT: f64 = 1.0 / 20_000.0;

@@ -1,10 +1,10 @@
 //! The camera's response: which share of full-scale light an encoded value stands for.
 //!
 //! Debevec and Malik, "Recovering High Dynamic Range Radiance Maps from Photographs" (SIGGRAPH 1997), equation 3, with
-//! three deviations: the unknown is the *difference* of ln f⁻¹ to that of sRGB, on few knots, so that smoothness does not
-//! fight the logarithm's pole at black; pixels weigh by their noise instead of a hat; the pixels' own radiances are
-//! eliminated from the normal equations, so that thousands of pixels cost no more than their brackets, and shots that do not
-//! fit (something moved) lose their weight over a few rounds.
+//! three deviations: the unknown is the *difference* of ln f⁻¹ to that of sRGB, on few knots, so that smoothness does
+//! not fight the logarithm's pole at black; pixels weigh by their noise instead of a hat; the pixels' own radiances are
+//! eliminated from the normal equations, so that thousands of pixels cost no more than their brackets, and shots that
+//! do not fit (something moved) lose their weight over a few rounds.
 
 use super::{BLACK, CLIPPED, sensor_variance};
 use crate::cholesky;
@@ -15,8 +15,8 @@ use crate::image_io::TransferCurve;
 const KNOTS: usize = 48;
 /// Weight of the squared second differences, as a share of the samples' weight per knot.
 const SMOOTHNESS: f64 = 1e-2;
-/// Rounds of reweighting, each with the difference of ln radiance between two shots that is forgiven beside noise: at first
-/// much, because the response is not known yet; in the end only what is not a change of the scene.
+/// Rounds of reweighting, each with the difference of ln radiance between two shots that is forgiven beside noise: at
+/// first much, because the response is not known yet; in the end only what is not a change of the scene.
 const ROUNDS: [f64; 6] = [1.0, 0.5, 0.2, 0.1, 0.05, 0.05];
 /// Standard deviations of noise that are forgiven.
 const DEVIATIONS: f64 = 3.0;

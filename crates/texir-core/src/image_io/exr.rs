@@ -61,8 +61,9 @@ pub(super) fn check_whole(path: &Path) -> std::result::Result<(), String> {
     blocks.and_then(|mut blocks| blocks.try_for_each(|block| block.map(drop))).map_err(|e| e.to_string())
 }
 
-/// Linear RGB of Rec. 709: colours of other primaries, where the header says so, are converted, and may come out negative. Pixels that
-/// the file does not show are `unknown`: outside of its data window, and, unless it is 0, where alpha is 0 (but not everywhere).
+/// Linear RGB of Rec. 709: colours of other primaries, where the header says so, are converted, and may come out
+/// negative. Pixels that the file does not show are `unknown`: outside of its data window, and, unless it is 0, where
+/// alpha is 0 (but not everywhere).
 pub(super) fn read_rgb(path: &Path, unknown: f32) -> Result<Rgb> {
     let picked = read_channels(path, "channels R, G and B, or Y", unknown, |names| {
         let find = |name: &str| names.iter().position(|n| n == name);

@@ -14,7 +14,8 @@ use crate::error::{Error, Result};
 /// The largest half float.
 pub const BRIGHTEST_HALF: f32 = 65504.0;
 
-/// Writes linear RGB as uncompressed R16G16B16A16_SFLOAT, one level, alpha 1. Values above [`BRIGHTEST_HALF`] take that one.
+/// Writes linear RGB as uncompressed R16G16B16A16_SFLOAT, one level, alpha 1. Values above [`BRIGHTEST_HALF`] take that
+/// one.
 pub fn write_ktx2<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
     const FORMAT: Format = Format::R16G16B16A16_SFLOAT;
     const TEXEL_BYTES: usize = 8;

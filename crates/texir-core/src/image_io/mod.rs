@@ -30,8 +30,8 @@ use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 /// bring the machine down.
 const MAX_PIXELS: usize = 1 << 28;
 
-/// An image has at most this many pixels for each byte of its file (a one-bit PNG of one colour comes to half of that): a
-/// small damaged file must not ask for the memory of a large one.
+/// An image has at most this many pixels for each byte of its file (a one-bit PNG of one colour comes to half of that):
+/// a small damaged file must not ask for the memory of a large one.
 const MAX_PIXELS_PER_BYTE: usize = 1 << 14;
 
 /// Of a pixel: four channels of 32 bits.
@@ -126,8 +126,8 @@ pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
     Ok((width, height))
 }
 
-/// Errors when the file ends before its pixels do, as after an interrupted copy. OpenEXR is read without decompressing it:
-/// looking through a whole capture costs little more than reading it from the disk.
+/// Errors when the file ends before its pixels do, as after an interrupted copy. OpenEXR is read without decompressing
+/// it: looking through a whole capture costs little more than reading it from the disk.
 pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
     read_size(path)?;
@@ -141,10 +141,9 @@ pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
             )))
 }
 
-/// Linear RGB of Rec. 709: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone; converted where the
-/// header has other `chromaticities`), Radiance HDR (divided by the exposure in its header, as the format asks), 32-bit float
-/// TIFF. 8-bit formats are refused: their encoding and
-/// their clipping are unknown.
+/// Linear RGB of Rec. 709: OpenEXR (half, float; channels R, G, B, also under a layer's name, or Y alone; converted
+/// where the header has other `chromaticities`), Radiance HDR (divided by the exposure in its header, as the format
+/// asks), 32-bit float TIFF. 8-bit formats are refused: their encoding and their clipping are unknown.
 pub fn read_rgb(path: impl AsRef<Path>) -> Result<Rgb> {
     read_rgb_with(path.as_ref(), 0.0)
 }
@@ -256,10 +255,13 @@ fn read_float_tiff(path: &Path) -> Result<Rgb> {
     Raster::new(rgb.width() as usize, rgb.height() as usize, rgb.pixels().map(|p| p.0).collect())
 }
 
+/// Radiance beyond this is taken for no number: sums of it are none.
+const LARGEST: f32 = 1e35;
+
 /// How many pixels hold what no radiance can be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sanitised {
-    /// Pixels with a channel that was NaN or infinite.
+    /// Pixels with a channel that was NaN, infinite or as good as that: above 1e35.
     pub non_finite: usize,
     /// Pixels with a channel below zero.
     pub negative: usize,
@@ -276,19 +278,19 @@ impl std::fmt::Display for Sanitised {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "{} pixels are NaN or infinite and {} negative: of the former nothing is known, channels of the latter are \
-             taken as 0",
+            "{} pixels are NaN, infinite or above {LARGEST:e}, and {} negative: of the former nothing is known, channels of the \
+             latter are taken as 0",
             self.non_finite, self.negative
         )
     }
 }
 
-/// Sets pixels with a channel that is NaN or infinite to `unknown` in all channels, and negative channels to 0; counts the
-/// pixels.
+/// Sets pixels with a channel that is NaN, infinite or above 1e35 to `unknown` in all channels, and negative channels to 0; counts
+/// the pixels.
 pub fn sanitise_radiance(image: &mut Rgb, unknown: f32) -> Sanitised {
     let mut found = Sanitised::default();
     for pixel in &mut image.data {
-        if pixel.iter().any(|v| !v.is_finite()) {
+        if pixel.iter().any(|v| !(*v <= LARGEST)) {
             found.non_finite += 1;
             *pixel = [unknown; 3];
         } else if pixel.iter().any(|v| *v < 0.0) {

@@ -21,8 +21,8 @@ const BRADFORD: DMat3 = DMat3::from_cols(
     DVec3::new(-0.1614, 0.0367, 1.0296),
 );
 
-/// What takes linear RGB of these primaries to linear Rec. 709, the one white to the other; `None` where they are Rec. 709's
-/// own, and an error where they span no colours.
+/// What takes linear RGB of these primaries to linear Rec. 709, the one white to the other; `None` where they are Rec.
+/// 709's own, and an error where they span no colours.
 pub(super) fn to_rec_709(from: &Chromaticities) -> Result<Option<DMat3>, String> {
     if distance(from, &REC_709) <= SAME {
         return Ok(None);

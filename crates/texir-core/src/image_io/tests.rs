@@ -279,10 +279,11 @@ fn missing_truncated_and_foreign_files_are_errors_that_name_the_file() {
 #[test]
 fn sanitising_replaces_and_counts_what_no_radiance_can_be() {
     let mut image =
-        Rgb::new(4, 1, vec![[1.0, f32::NAN, 2.0], [f32::INFINITY, -1.0, 3.0], [-0.5, -0.5, 1.0], [4.0; 3]]).unwrap();
+        Rgb::new(5, 1, vec![[1.0, f32::NAN, 2.0], [f32::INFINITY, -1.0, 3.0], [-0.5, -0.5, 1.0], [4.0; 3], [3e38; 3]])
+            .unwrap();
     let found = sanitise_radiance(&mut image, 7.0);
-    assert_eq!(found, Sanitised { non_finite: 2, negative: 1 });
-    assert_eq!(image.data, [[7.0; 3], [7.0; 3], [0.0, 0.0, 1.0], [4.0; 3]]);
+    assert_eq!(found, Sanitised { non_finite: 3, negative: 1 });
+    assert_eq!(image.data, [[7.0; 3], [7.0; 3], [0.0, 0.0, 1.0], [4.0; 3], [7.0; 3]]);
     assert!(sanitise_radiance(&mut image, 7.0).is_clean());
 }
 

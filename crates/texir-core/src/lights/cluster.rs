@@ -5,12 +5,12 @@ use glam::Vec3;
 use super::facing;
 use crate::mesh::{Mesh, bounds};
 
-/// Most clusters of a scene. Fewer make a table a worse fit; more cost memory and shadow rays, and leave each too few samples
-/// to spread well (docs/irradiance.md).
+/// Most clusters of a scene. Fewer make a table a worse fit; more cost memory and shadow rays, and leave each too few
+/// samples to spread well (docs/irradiance.md).
 const CLUSTERS: usize = 256;
 
-/// Splits the triangles by facing, then at half of the power along the longest axis, the cluster of greatest power × extent
-/// first. Within a cluster, neighbours in the list are neighbours in space.
+/// Splits the triangles by facing, then at half of the power along the longest axis, the cluster of greatest power ×
+/// extent first. Within a cluster, neighbours in the list are neighbours in space.
 pub fn clusters(mesh: &Mesh, triangles: Vec<u32>, power: &impl Fn(u32) -> f32) -> Vec<Vec<u32>> {
     let mut clusters = vec![Vec::new(); 6];
     triangles.into_iter().for_each(|t| clusters[facing(mesh.face_normal(t))].push(t));

@@ -75,7 +75,8 @@ fn grid(scene: &Scene, points: &[SurfacePoint]) -> LightGrid {
     LightGrid { origin: low, per_metre: 1.0 / edge, size, tables: vec![0; 6 * cells] }
 }
 
-/// Root of the mean square of a cluster's irradiance at a cell, by [`RAYS`] pairs of a point there and one on the cluster.
+/// Root of the mean square of a cluster's irradiance at a cell, by [`RAYS`] pairs of a point there and one on the
+/// cluster.
 fn contribution<'a>(
     lights: &Lights,
     scene: &Scene,

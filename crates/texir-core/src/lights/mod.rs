@@ -1,9 +1,10 @@
 //! Light sources of a TBL as a sampled set: the triangles that shine, in clusters whose share of the samples depends on
 //! where the sampled light arrives.
 //!
-//! The scene's surface is cut into cells, by position and by the way it faces. Each has a table over the clusters, learned
-//! from a few shadow rays (`learn.rs`), so that samples do not go to lamps of other rooms. Any set and any tables give an
-//! unbiased gather: what they leave out is found by the cosine samples, and the balance heuristic weighs both.
+//! The scene's surface is cut into cells, by position and by the way it faces. Each has a table over the clusters,
+//! learned from a few shadow rays (`learn.rs`), so that samples do not go to lamps of other rooms. Any set and any
+//! tables give an unbiased gather: what they leave out is found by the cosine samples, and the balance heuristic weighs
+//! both.
 
 mod cluster;
 mod learn;
@@ -18,8 +19,8 @@ use crate::raster::{Rgb, luminance};
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
-/// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct light
-/// of a smaller contrast is found well enough by cosine samples.
+/// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct
+/// light of a smaller contrast is found well enough by cosine samples.
 pub(crate) const CONTRAST: f32 = 3.0;
 
 /// Texels at most that tables of lights are learned at: hundreds for every one that there can be.
@@ -43,7 +44,8 @@ pub struct LightDensity {
     pub per_area: f32,
     /// The triangle's cluster; 0 for what is no light.
     pub cluster: u32,
-    /// 1 where its back is black, as a light's is, and that of all surfaces of an authored scene; 0 where either side shows the same radiance.
+    /// 1 where its back is black, as a light's is, and that of all surfaces of an authored scene; 0 where either side
+    /// shows the same radiance.
     pub front_only: u32,
 }
 
@@ -56,8 +58,8 @@ pub struct LightGrid {
     pub per_metre: f32,
     /// Cells along each axis.
     pub size: [u32; 3],
-    /// Per cell (x fastest) and facing, six to a cell: the number of its table. 0, the table for everywhere, where nothing
-    /// was learned.
+    /// Per cell (x fastest) and facing, six to a cell: the number of its table. 0, the table for everywhere, where
+    /// nothing was learned.
     pub tables: Vec<u32>,
 }
 
@@ -84,8 +86,8 @@ impl Lights {
         Self { triangles: Vec::new(), clusters: vec![0], density, grid, tables: Vec::new() }
     }
 
-    /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size, and is one of the
-    /// scene's mesh.
+    /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size, and
+    /// is one of the scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
         let [own, others] = [(atlas.width, atlas.height), (radiance.width, radiance.height)];
         if own != others || radiance.data.len() != radiance.width * radiance.height {
@@ -96,8 +98,11 @@ impl Lights {
         Ok(finder.find())
     }
 
-    /// The triangles whose `luminance` (one number per mesh triangle) is above 0, sampled in proportion to luminance × area
-    /// everywhere.
+    /// The triangles whose `luminance` (one number per mesh triangle) is above 0, sampled in proportion to luminance ×
+    /// area everywhere.
+    ///
+    /// # Panics
+    /// With fewer numbers than triangles.
     pub fn by_power(mesh: &Mesh, luminance: &[f32]) -> Self {
         let power = |t: u32| luminance[t as usize] * mesh.area(t);
         let shining = (0..mesh.triangles.len() as u32).filter(|&t| power(t) > 0.0 && power(t).is_finite()).collect();
@@ -124,7 +129,8 @@ impl Lights {
         self.triangles.is_empty()
     }
 
-    /// Whether every index of one part lies within another, and no cluster is empty. Only lights made by hand, field by field, may not be.
+    /// Whether every index of one part lies within another, and no cluster is empty. Only lights made by hand, field by
+    /// field, may not be.
     pub fn is_consistent(&self) -> bool {
         let clusters = self.clusters.len().saturating_sub(1);
         let ascending = self.clusters.first() == Some(&0)
@@ -153,7 +159,8 @@ impl Lights {
         self.tables[cluster] - if cluster > 0 { self.tables[cluster - 1] } else { 0.0 }
     }
 
-    /// The triangle of `cluster` at `u` of its cumulative probability, and how far `u` lies within the triangle's share.
+    /// The triangle of `cluster` at `u` of its cumulative probability, and how far `u` lies within the triangle's
+    /// share.
     pub fn triangle(&self, cluster: usize, u: f32) -> (u32, f32) {
         let members = &self.triangles[self.clusters[cluster] as usize..self.clusters[cluster + 1] as usize];
         let (i, rest) = invert(members.len(), |i| members[i].cumulative, u);
@@ -179,8 +186,8 @@ fn facing(normal: Vec3) -> usize {
     2 * axis + usize::from(normal[axis] < 0.0)
 }
 
-/// The item at `u` in [0, 1) of cumulative probabilities, and how far `u` lies within its share, in [0, 1): what is left of
-/// a number that chose an item is still uniform, so that well-spread points stay so within each item.
+/// The item at `u` in [0, 1) of cumulative probabilities, and how far `u` lies within its share, in [0, 1): what is
+/// left of a number that chose an item is still uniform, so that well-spread points stay so within each item.
 pub fn invert(items: usize, cumulative: impl Fn(usize) -> f32, u: f32) -> (usize, f32) {
     let (mut low, mut high) = (0, items - 1);
     while low < high {
@@ -250,8 +257,8 @@ impl<'a> Finder<'a> {
         Ok(())
     }
 
-    /// The lights of surfaces of which nothing is seen from behind: what is no light is black there as well. A sheet lets no light
-    /// through, and what its front reflects does not leave its back.
+    /// The lights of surfaces of which nothing is seen from behind: what is no light is black there as well. A sheet
+    /// lets no light through, and what its front reflects does not leave its back.
     pub fn one_sided(self) -> Lights {
         let mut lights = self.find();
         lights.density.iter_mut().for_each(|density| density.front_only = 1);

@@ -35,8 +35,8 @@ impl Quads {
 
 const SIDE: usize = 64;
 
-/// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling, the one on the
-/// right four times as bright.
+/// Two rooms of 2 × 2 × 2 m side by side, a wall between them, and a lamp of 40 × 40 cm below each ceiling, the one on
+/// the right four times as bright.
 fn two_rooms() -> (Arc<Scene>, Rgb) {
     let mut q = Quads::new(4);
     let (x, y, z) = (2.0 * Vec3::X, 2.0 * Vec3::Y, 2.0 * Vec3::Z);

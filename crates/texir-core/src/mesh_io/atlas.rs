@@ -10,6 +10,9 @@ const UNIT_SQUARE_SLACK: f32 = 1e-4;
 /// Rounding and shared chart borders explain overlaps up to this fraction of the covered texels.
 const TOLERATED_OVERLAP: f64 = 0.01;
 
+/// Once triangles have had so many times the texels of an atlas, it is none.
+const ENOUGH: usize = 8;
+
 /// How a mesh uses its atlas.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtlasReport {
@@ -42,30 +45,36 @@ impl AtlasReport {
     }
 }
 
-/// Rasterises the atlas at `size`² texels.
+/// Rasterises the atlas at `size`² texels. Surfaces of which all have the same texels many times over, as those of a
+/// tiled texture, are not gone through to the last.
 pub fn atlas_report(mesh: &Mesh, size: usize) -> AtlasReport {
     const COVERED: u8 = 1;
     const OWNED: u8 = 2;
     const SHARED: u8 = 4;
+    let corners = (0..mesh.triangles.len() as u32).map(|t| mesh.corner_uvs(t));
+    let allowed = -UNIT_SQUARE_SLACK..=1.0 + UNIT_SQUARE_SLACK;
+    let leaves = |uvs: &[Vec2; 3]| uvs.iter().any(|uv| !(allowed.contains(&uv.x) && allowed.contains(&uv.y)));
+    let outside_unit_square_triangles = corners.clone().filter(leaves).count();
     let mut texels = vec![0_u8; size * size];
-    let mut outside = 0;
-    for t in 0..mesh.triangles.len() as u32 {
-        let uvs = mesh.corner_uvs(t);
-        let allowed = -UNIT_SQUARE_SLACK..=1.0 + UNIT_SQUARE_SLACK;
-        outside += usize::from(uvs.iter().any(|uv| !(allowed.contains(&uv.x) && allowed.contains(&uv.y))));
+    let mut visits = 0;
+    for uvs in corners {
         for_texel_centres(uvs, size, |texel, interior| {
+            visits += 1;
             let state = &mut texels[texel];
             *state |= COVERED;
             if interior {
                 *state |= if *state & OWNED != 0 { SHARED } else { OWNED };
             }
         });
+        if visits > ENOUGH * size * size {
+            break;
+        }
     }
     let count = |flag: u8| texels.iter().filter(|t| **t & flag != 0).count() as f64;
     AtlasReport {
         covered_fraction: count(COVERED) / (size * size).max(1) as f64,
         overlapping_fraction: count(SHARED) / count(COVERED).max(1.0),
-        outside_unit_square_triangles: outside,
+        outside_unit_square_triangles,
     }
 }
 
@@ -73,19 +82,31 @@ pub fn atlas_report(mesh: &Mesh, size: usize) -> AtlasReport {
 fn for_texel_centres(uvs: [Vec2; 3], size: usize, mut visit: impl FnMut(usize, bool)) {
     let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * size as f64);
     let area = (b - a).perp_dot(c - a);
-    if area == 0.0 {
+    if area == 0.0 || !area.is_finite() {
         return;
     }
+    let edges = [(b, c), (c, a), (a, b)];
     let (low, high) = (a.min(b).min(c), a.max(b).max(c));
     // The texels whose centre, at +½, lies in [low, high]; a float cast saturates.
     let first = |low: f64| (low - 0.5).ceil().max(0.0) as usize;
     let end = |high: f64| ((high - 0.5).floor() + 1.0).clamp(0.0, size as f64) as usize;
     for y in first(low.y)..end(high.y) {
-        for x in first(low.x)..end(high.x) {
+        let (mut left, mut right) = (low.x, high.x);
+        // Where the row enters and leaves the triangle, with a texel to spare for rounding.
+        for (from, to) in edges {
+            let rise = to.y - from.y;
+            let x = from.x + (y as f64 + 0.5 - from.y) * (to.x - from.x) / rise;
+            if (rise < 0.0) == (area > 0.0) {
+                left = left.max(x - 1.0);
+            } else {
+                right = right.min(x + 1.0);
+            }
+        }
+        for x in first(left)..end(right) {
             let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let edges = [(b, c), (c, a), (a, b)].map(|(from, to)| (to - from).perp_dot(p - from) / area);
-            if edges.iter().all(|e| *e >= 0.0) {
-                visit(y * size + x, edges.iter().all(|e| *e > 1e-9));
+            let sides = edges.map(|(from, to)| (to - from).perp_dot(p - from) / area);
+            if sides.iter().all(|e| *e >= 0.0) {
+                visit(y * size + x, sides.iter().all(|e| *e > 1e-9));
             }
         }
     }

@@ -1,7 +1,7 @@
 //! glTF and GLB geometry: the default scene's nodes, transformed to world space. Materials and images are left alone
 //! ([`crate::authored`] reads those).
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{Mat4, Quat, Vec2, Vec3};
 use gltf::accessor::{DataType, Dimensions};
@@ -62,8 +62,8 @@ pub(crate) fn open(path: &Path) -> Result<Gltf> {
     Ok(Gltf { document: Document::from_json_without_validation(root), blob })
 }
 
-/// Errors on what the reader cannot take. Accessors without values are sound by the specification: exporters write them for morph targets
-/// that move nothing.
+/// Errors on what the reader cannot take. Accessors without values are sound by the specification: exporters write them
+/// for morph targets that move nothing.
 fn validate(root: &Root) -> std::result::Result<(), gltf::Error> {
     let mut found = Vec::new();
     root.validate(root, gltf_json::Path::new, &mut |place, what| found.push((place(), what)));
@@ -81,8 +81,8 @@ fn check_required(path: &Path, required: &[String]) -> Result<()> {
     Err(Error::file(path, format!("extensionsRequired asks for what texir does not read: {}", unknown.join(", "))))
 }
 
-/// Those of some extensions that texir does not read, and how to export a scene without them. What materials have besides (gloss,
-/// sheen) takes nothing from what is read of them.
+/// Those of some extensions that texir does not read, and how to export a scene without them. What materials have
+/// besides (gloss, sheen) takes nothing from what is read of them.
 fn unread(extensions: &[String]) -> Vec<String> {
     let is_read = |name: &str| {
         ENABLED_EXTENSIONS.contains(&name)
@@ -124,6 +124,16 @@ pub(crate) fn load(path: &Path) -> Result<Contents> {
     Ok(Contents { document, buffers })
 }
 
+/// Where a scene's `uri`, decoded, leads.
+pub(crate) fn beside(scene: &Path, uri: &str) -> PathBuf {
+    scene.parent().unwrap_or(Path::new("")).join(uri)
+}
+
+/// Says what is wrong with what is there, but is no file: a device never ends.
+pub(crate) fn check_is_file(path: &Path) -> std::result::Result<(), &'static str> {
+    if path.exists() && !path.is_file() { Err("is a folder or a device; expected a file") } else { Ok(()) }
+}
+
 /// A buffer's bytes: of the GLB itself, of a data URI, or of a file beside the scene.
 fn read_buffer(path: &Path, buffer: &Buffer, blob: &mut Option<Vec<u8>>) -> Result<Data> {
     let place = format!("buffers[{}]", buffer.index());
@@ -134,6 +144,10 @@ fn read_buffer(path: &Path, buffer: &Buffer, blob: &mut Option<Vec<u8>>) -> Resu
         ),
         _ => None,
     };
+    if let Some(file) = &file {
+        check_is_file(&beside(path, file))
+            .map_err(|what| Error::file(path, format!("{place}: its file {file} {what}")))?;
+    }
     let read = Data::from_source_and_blob(buffer.source(), path.parent(), blob);
     let data = read.map_err(|e| match &file {
         Some(file) => Error::file(
@@ -181,7 +195,8 @@ pub(crate) fn for_each_node(
     Ok(())
 }
 
-/// The transform of a node. A rotation of another length than 1 would skew what it turns; it is taken for the unit one that it is along.
+/// The transform of a node. A rotation of another length than 1 would skew what it turns; it is taken for the unit one
+/// that it is along.
 fn parent_from_node(path: &Path, node: usize, transform: Transform) -> Result<Mat4> {
     match transform {
         Transform::Matrix { matrix } => Ok(Mat4::from_cols_array_2d(&matrix)),
@@ -333,7 +348,8 @@ fn triangles(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
     }
 }
 
-/// How many sets of coordinates a primitive has: TEXCOORD_0, counted even where it is missing, and those that follow it.
+/// How many sets of coordinates a primitive has: TEXCOORD_0, counted even where it is missing, and those that follow
+/// it.
 fn uv_sets(primitive: &Primitive) -> u32 {
     1 + (1..).take_while(|set| primitive.get(&Semantic::TexCoords(*set)).is_some()).count() as u32
 }

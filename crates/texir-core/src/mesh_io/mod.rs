@@ -35,8 +35,9 @@ struct RawMesh {
 
 /// Reads `.obj`, `.ply`, `.glb` or `.gltf` (by extension).
 ///
-/// Triangles without area, unusable normals and single triangles without a place in the atlas are reported; anything that
-/// leaves the surface or its atlas in doubt is an error: positions that are not finite, indices out of range, no atlas at all.
+/// Triangles without area, unusable normals and single triangles without a place in the atlas are reported; anything
+/// that leaves the surface or its atlas in doubt is an error: positions that are not finite, indices out of range, no
+/// atlas at all.
 pub fn read_mesh(path: impl AsRef<Path>) -> Result<MeshFile> {
     let path = path.as_ref();
     let (mut file, unplaced) = read_surface(path)?;
@@ -60,8 +61,8 @@ pub fn read_mesh(path: impl AsRef<Path>) -> Result<MeshFile> {
     Ok(file)
 }
 
-/// [`read_mesh`] for surfaces that may yet be unwrapped: how many triangles have no place in the atlas comes along; their
-/// corners are at (0, 0).
+/// [`read_mesh`] for surfaces that may yet be unwrapped: how many triangles have no place in the atlas comes along;
+/// their corners are at (0, 0).
 pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
     let path = path.as_ref();
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -128,8 +129,9 @@ fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
     Ok((MeshFile { mesh, warnings }, unplaced))
 }
 
-/// Leaves every triangle with a place in the atlas missing without area there; returns their number. The corners that do have one
-/// would span an area with (0, 0), over that of other triangles: such triangles get three vertices of their own.
+/// Leaves every triangle with a place in the atlas missing without area there; returns their number. The corners that
+/// do have one would span an area with (0, 0), over that of other triangles: such triangles get three vertices of their
+/// own.
 fn part_from_atlas_where_uvs_are_missing(
     mesh: &mut Mesh,
     normals: &mut Vec<Option<Vec3>>,

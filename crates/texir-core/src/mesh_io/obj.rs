@@ -15,8 +15,8 @@ use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 
-/// All objects and material groups as one mesh; one vertex per distinct (position, uv, normal) triple of a group. Neighbouring
-/// faces that have the same of these make a group.
+/// All objects and material groups as one mesh; one vertex per distinct (position, uv, normal) triple of a group.
+/// Neighbouring faces that have the same of these make a group.
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
     let mut lines = Lines::new(BufReader::new(File::open(path).map_err(|e| Error::cannot_read(path, e))?));
     let options = LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };

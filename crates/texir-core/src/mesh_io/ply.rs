@@ -1,4 +1,5 @@
-//! Stanford PLY, ASCII and binary. Texture coordinates per vertex or per face corner, v up as MeshLab and Blender write.
+//! Stanford PLY, ASCII and binary. Texture coordinates per vertex or per face corner, v up as MeshLab and Blender
+//! write.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -13,8 +14,8 @@ use crate::error::{Error, Result};
 
 #[derive(Deserialize)]
 struct Vertex {
-    /// No file has it. Where the properties of a binary file are the first fields of a struct, serde-ply 0.2 reads these in order, and fails
-    /// at the first that the file lacks; otherwise it goes by their names.
+    /// No file has it. Where the properties of a binary file are the first fields of a struct, serde-ply 0.2 reads
+    /// these in order, and fails at the first that the file lacks; otherwise it goes by their names.
     #[serde(rename = "")]
     _by_name: Option<f32>,
     x: f32,
@@ -50,6 +51,13 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
     let (mut vertices, mut faces) = (Vec::<Vertex>::new(), Vec::<Face>::new());
     while let Some(element) = reader.current_element() {
         let name = element.name.clone();
+        // A file of any size could claim any number of them.
+        if element.properties.is_empty() && element.count > 0 {
+            return Err(Error::file(
+                path,
+                format!("element {name:?} has no properties; expected some, or no such element"),
+            ));
+        }
         let parsed = match name.as_str() {
             "vertex" => reader.next_element().map(|v| vertices = v),
             "face" => reader.next_element().map(|f| faces = f),

@@ -172,7 +172,8 @@ fn ply_ascii_and_binary_with_every_name_of_texture_coordinates() {
     }
 }
 
-/// As scanners and other programs write them: with some properties, with others among them, and with coordinates in faces alone.
+/// As scanners and other programs write them: with some properties, with others among them, and with coordinates in
+/// faces alone.
 #[test]
 fn binary_ply_of_any_properties() {
     let square = square();
@@ -495,4 +496,35 @@ fn atlas_report_measures_cover_overlap_and_overhang() {
     let mut shifted = mesh;
     shifted.uvs[3].y -= 0.1;
     assert_eq!(atlas_report(&shifted, 64).outside_unit_square_triangles, 1);
+}
+
+#[test]
+fn surfaces_that_share_the_atlas_many_times_over_are_told_at_once() {
+    // As many squares as take minutes if all are gone through to the last texel; the last leaves the unit square.
+    let square = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y];
+    let copies = 100_000;
+    let mut mesh = Mesh {
+        positions: square.map(|at| at.extend(0.0)).to_vec(),
+        normals: vec![Vec3::Z; 4],
+        uvs: square.to_vec(),
+        triangles: [[0, 1, 2], [0, 2, 3]].repeat(copies),
+    };
+    mesh.positions.push(Vec3::ONE);
+    mesh.normals.push(Vec3::Z);
+    mesh.uvs.push(Vec2::new(2.0, 0.5));
+    mesh.triangles.push([1, 4, 2]);
+    let report = atlas_report(&mesh, 1024);
+    assert_eq!((report.covered_fraction, report.outside_unit_square_triangles), (1.0, 1));
+    assert!(report.overlapping_fraction > 0.99, "{report:?}");
+}
+
+#[test]
+fn elements_of_a_ply_without_properties_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mesh.ply");
+    let text = "ply\nformat ascii 1.0\nelement nothing 9000000000000\nelement vertex 1\nproperty float x\n\
+                property float y\nproperty float z\nend_header\n0 0 0\n";
+    std::fs::write(&path, text).unwrap();
+    let error = read_mesh(&path).unwrap_err().to_string();
+    assert!(error.contains("mesh.ply") && error.contains("\"nothing\" has no properties"), "{error}");
 }

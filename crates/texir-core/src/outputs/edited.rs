@@ -14,8 +14,8 @@ pub(super) const SHARE: RangeInclusive<f32> = 0.0..=1.0;
 /// What light can be.
 pub(super) const LIGHT: RangeInclusive<f32> = 0.0..=f32::MAX;
 
-/// The texture from `path`, of pixels that are nothing but `f32` channels. Texels that are no numbers are an error: nothing is known of what they should
-/// be. Values out of range are taken for the nearest one within, with a warning.
+/// The texture from `path`, of pixels that are nothing but `f32` channels. Texels that are no numbers are an error:
+/// nothing is known of what they should be. Values out of range are taken for the nearest one within, with a warning.
 pub(super) fn checked<T: Pod>(
     path: &Path,
     mut texture: Raster<T>,

@@ -194,3 +194,42 @@ fn bands_have_every_row_once_and_little_in_them() {
         assert!(bands.iter().all(|band| band.len() == 1 || band.len() * items <= CHUNK), "{bands:?}");
     }
 }
+
+#[test]
+fn what_emits_adds_its_radiance_once() {
+    let (scene, radiance) = scene();
+    let dark = Rgb::filled(radiance.width, radiance.height, [0.0; 3]);
+    let mut backend = CpuBackend::new(scene);
+    let hits = backend.primary(&camera(), camera().rows()).unwrap();
+    let mut renderer = Renderer::new(&mut backend, &dark, 96, 1).unwrap();
+    let plain = textures(DiffuseModel::Lambert, 0.3);
+    let shines = Textures { emission: Rgb::filled(16, 8, [2.0, 1.0, 0.5]), ..plain.clone() };
+    let [image, plain] = render_each(&mut renderer, [&shines, &plain]);
+    let middle = hits.iter().position(|hit| hit.is_hit()).unwrap();
+    for (c, emitted) in [2.0, 1.0, 0.5].into_iter().enumerate() {
+        let added = image.data[middle][c] - plain.data[middle][c];
+        assert!((added - emitted).abs() < 1e-5, "{added} of {emitted}");
+        // a E/π alone, and nothing that shines to be mirrored.
+        let reflected = ALBEDO * IRRADIANCE * std::f32::consts::FRAC_1_PI;
+        assert!((plain.data[middle][c] - reflected).abs() < 1e-5, "{}", plain.data[middle][c]);
+    }
+}
+
+#[test]
+fn light_may_be_in_any_unit() {
+    let (scene, radiance) = scene();
+    let mut backend = CpuBackend::new(scene);
+    let mut rendered = |factor: f32| {
+        let scaled = |map: &Rgb| map.map(|v| v.map(|v| v * factor));
+        let plain = textures(DiffuseModel::Lambert, 0.15);
+        let textures = Textures { irradiance: scaled(&plain.irradiance), ..plain };
+        let mut renderer = Renderer::new(&mut backend, &scaled(&radiance), 96, 1).unwrap();
+        let [image] = render_each(&mut renderer, [&textures]);
+        image.map(|v| v.map(|v| v / factor))
+    };
+    let usual = rendered(1.0);
+    for exponent in [-40, -20, 20, 40] {
+        let off = difference(&rendered(f32::powi(2.0, exponent)), &usual);
+        assert!(off < 1e-4, "{off} in a unit of 2^-{exponent}");
+    }
+}

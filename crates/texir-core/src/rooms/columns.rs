@@ -12,8 +12,8 @@ const MARGIN: usize = 3;
 /// Cells of the largest plan that is made: more than 400 m × 400 m at 5 cm is a wrong unit or a stray vertex.
 const MAX_CELLS: f64 = 6.4e7;
 
-/// The grid over triangles given in plan coordinates, with a margin. Errors without a finite triangle, and on more cells than
-/// [`MAX_CELLS`].
+/// The grid over triangles given in plan coordinates, with a margin. Errors without a finite triangle, and on more
+/// cells than [`MAX_CELLS`].
 pub(super) fn grid_over(triangles: impl Iterator<Item = [Vec3; 3]>, cell: f32) -> Result<Grid> {
     let (lo, hi) = bounds(triangles.flatten().filter(|p| p.is_finite()));
     if lo.x > hi.x {
@@ -133,8 +133,8 @@ impl From<[Vec3; 3]> for Polygon {
 }
 
 impl Polygon {
-    /// The part with `from ≤ coordinate ≤ from + size` along an axis, a little fattened: a wall exactly on the border of
-    /// two cells must not fall between them by rounding.
+    /// The part with `from ≤ coordinate ≤ from + size` along an axis, a little fattened: a wall exactly on the border
+    /// of two cells must not fall between them by rounding.
     fn slab(&self, axis: usize, from: f32, size: f32) -> Self {
         const FAT: f32 = 1e-3;
         self.clip(|p| p[axis] - from + FAT * size).clip(|p| from + (1.0 + FAT) * size - p[axis])
@@ -157,7 +157,8 @@ impl Polygon {
     }
 
     fn push(&mut self, p: Vec3) {
-        // A triangle cut by four planes has at most seven corners; rounding may repeat one, never lose one that matters.
+        // A triangle cut by four planes has at most seven corners; rounding may repeat one, never lose one that
+        // matters.
         if self.count < self.corners.len() {
             self.corners[self.count] = p;
             self.count += 1;

@@ -1,5 +1,5 @@
-//! Exact Euclidean nearest-cell transform in linear time (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
-//! Functions", 2012, keeping the arguments of the minima).
+//! Exact Euclidean nearest-cell transform in linear time (Felzenszwalb and Huttenlocher, "Distance Transforms of
+//! Sampled Functions", 2012, keeping the arguments of the minima).
 
 use crate::raster::Mask;
 

@@ -1,10 +1,10 @@
 //! Rooms from the mesh: a floor plan in which every point belongs to a room, and a doorway separates.
 //!
-//! The mesh is rasterised into vertical columns (`columns.rs`). A wall fills its column from sitting to head height and up
-//! to the ceiling; furniture fills neither, so it does not split a room; a lintel fills only the part under the ceiling.
-//! What is covered by a floor or a ceiling and not walled is free space, and free space is cut into rooms at lintels no
-//! wider than a door and where it narrows to a doorway (`segment.rs`). Every storey that cameras stand in (`storeys.rs`) has a
-//! plan of its own; what lies under its floor or above its highest ceiling is left out.
+//! The mesh is rasterised into vertical columns (`columns.rs`). A wall fills its column from sitting to head height and
+//! up to the ceiling; furniture fills neither, so it does not split a room; a lintel fills only the part under the
+//! ceiling. What is covered by a floor or a ceiling and not walled is free space, and free space is cut into rooms at
+//! lintels no wider than a door and where it narrows to a doorway (`segment.rs`). Every storey that cameras stand in
+//! (`storeys.rs`) has a plan of its own; what lies under its floor or above its highest ceiling is left out.
 
 mod columns;
 mod distance;
@@ -52,14 +52,17 @@ impl RoomOptions {
         let positive = [("cell", self.cell), ("door_width", self.door_width), ("constriction", self.constriction)];
         for (name, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
-                return Err(Error::invalid(format!("rooms.{name} is {value}; expected a number above 0")));
+                return Err(Error::invalid(format!("RoomOptions::{name} is {value}; expected a number above 0")));
             }
         }
         if self.min_area < 0.0 || self.min_area.is_nan() {
-            return Err(Error::invalid(format!("rooms.min_area is {}; expected 0 or more (m²)", self.min_area)));
+            return Err(Error::invalid(format!("RoomOptions::min_area is {}; expected 0 or more (m²)", self.min_area)));
         }
         if !(Vec3::from(self.up).length() > 1e-6 && Vec3::from(self.up).is_finite()) {
-            return Err(Error::invalid(format!("rooms.up is {:?}; expected a direction, such as [0, 0, 1]", self.up)));
+            return Err(Error::invalid(format!(
+                "RoomOptions::up is {:?}; expected a direction, such as [0, 0, 1]",
+                self.up
+            )));
         }
         Ok(())
     }
@@ -102,7 +105,7 @@ pub fn detect(mesh: &Mesh, cameras: &[Vec3], options: &RoomOptions) -> Result<Fl
         let found = rooms.data.iter().copied().max().unwrap_or(0);
         if found > u16::MAX - count {
             return Err(Error::invalid(format!(
-                "more than {} rooms were found: raise rooms.min_area, which is {} m²",
+                "more than {} rooms of at least {} m² were found; expected a building of fewer: is the mesh in metres?",
                 u16::MAX,
                 options.min_area
             )));

@@ -37,16 +37,16 @@ pub struct StoreyPlan {
     pub rooms: Labels,
     /// Cells that hold a wall.
     pub walls: Mask,
-    /// Height from which on points belong to this storey or one above, metres above the world's origin. Points under the
-    /// lowest storey belong to it as well.
+    /// Height from which on points belong to this storey or one above, metres above the world's origin. Points under
+    /// the lowest storey belong to it as well.
     pub from: f32,
     /// Per cell, the id of the nearest room.
     nearest: Labels,
 }
 
 impl StoreyPlan {
-    /// A storey of given ids, such as a room map that came with the capture. Errors where there is no room, or on `walls` of
-    /// another size.
+    /// A storey of given ids, such as a room map that came with the capture. Errors where there is no room, or on
+    /// `walls` of another size.
     pub fn new(rooms: Labels, walls: Mask, from: f32) -> Result<Self> {
         if rooms.size() != walls.size() {
             return Err(Error::invalid(format!("{:?} room ids, but {:?} wall flags", rooms.size(), walls.size())));
@@ -111,8 +111,8 @@ impl FloorPlan {
         self.room_at(point + normal.normalize_or_zero() * (1.5 * self.grid.cell))
     }
 
-    /// Writes the plan as a picture: rooms in distinct colours with their ids, walls dark, cameras as dots; plan y up, the
-    /// lowest storey on the left.
+    /// Writes the plan as a picture: rooms in distinct colours with their ids, walls dark, cameras as dots; plan y up,
+    /// the lowest storey on the left.
     pub fn write_png(&self, path: &Path, cameras: &[Vec3]) -> Result<()> {
         picture::write(self, path, cameras)
     }

@@ -1,7 +1,7 @@
 //! Storeys: where one floor of a building ends and the next begins.
 //!
-//! Cameras tell. Between those of two storeys lies a floor that the upper ones stand on; between those of one storey, held
-//! high and low, lie at most tables. A storey that no camera stands in is none.
+//! Cameras tell. Between those of two storeys lies a floor that the upper ones stand on; between those of one storey,
+//! held high and low, lie at most tables. A storey that no camera stands in is none.
 
 use std::ops::Range;
 
@@ -16,15 +16,17 @@ pub(super) const LEVEL_BIN: f32 = 0.02;
 const MAX_BINS: f32 = 1e5;
 /// Floors are uneven by this many bins to either side.
 const UNEVEN: usize = 2;
-/// A level may be another storey's floor if it has at least this share of the largest level's area: galleries are small.
+/// A level may be another storey's floor if it has at least this share of the largest level's area: galleries are
+/// small.
 const FLOOR_SHARE: f32 = 0.15;
 /// Floors of two storeys are at least this far apart, metres.
 const STOREY: f32 = 2.1;
-/// Surfaces above a storey's ceilings (a beam, the dust of a scan) have at most this share of what lies above eye height:
-/// rooms differ in height.
+/// Surfaces above a storey's ceilings (a beam, the dust of a scan) have at most this share of what lies above eye
+/// height: rooms differ in height.
 const ABOVE_CEILING: f32 = 0.01;
-/// A level is main with at least this share of the largest one's area. Levels are told by the side that they face, up or
-/// down, where that side has a main one; otherwise the mesh's sides mean nothing, or a sheet is floor and ceiling at once.
+/// A level is main with at least this share of the largest one's area. Levels are told by the side that they face, up
+/// or down, where that side has a main one; otherwise the mesh's sides mean nothing, or a sheet is floor and ceiling at
+/// once.
 const MAIN: f32 = 0.5;
 
 /// The heights between which a storey lies, plan coordinates.
@@ -36,8 +38,8 @@ pub(super) struct Storey {
     pub top: f32,
 }
 
-/// The storeys in which cameras stand, the lowest first; without cameras, the one at half the mesh's height. Triangles and
-/// cameras are in plan coordinates. There is always one.
+/// The storeys in which cameras stand, the lowest first; without cameras, the one at half the mesh's height. Triangles
+/// and cameras are in plan coordinates. There is always one.
 pub(super) fn find(triangles: impl Iterator<Item = [Vec3; 3]> + Clone, cameras: &[Vec3]) -> Vec<Storey> {
     let levels = Levels::new(triangles);
     let (lo, hi) = (levels.lo, levels.height(levels.count()));
@@ -147,8 +149,8 @@ impl Levels {
         self.up.main(from..self.count(), most).next().filter(|_| self.told(&self.down, &(eye..self.count())))
     }
 
-    /// The end of the levels between eye height and the floor above that may be ceilings: the floor is none, unless it is the
-    /// only thing there, one sheet.
+    /// The end of the levels between eye height and the floor above that may be ceilings: the floor is none, unless it
+    /// is the only thing there, one sheet.
     fn under(&self, eye: usize, floor: usize) -> usize {
         let clear = floor.saturating_sub(2 * UNEVEN + 1);
         if self.any.most(eye..clear) >= MAIN * self.any.most(eye..floor + 1) { clear } else { floor + 1 }

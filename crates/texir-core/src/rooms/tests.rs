@@ -230,8 +230,8 @@ fn a_frayed_scan_with_holes_gives_the_same_rooms() {
 /// Floor of the upper storey of [`house`].
 const UPSTAIRS: f32 = 2.9;
 
-/// Two storeys of 8 m × 4 m, joined by stairs in a stairwell at x < 1.2, y < 3.2: two rooms below, which a door joins, three
-/// above. `slab` is the thickness of what lies between them; without, one sheet is ceiling and floor.
+/// Two storeys of 8 m × 4 m, joined by stairs in a stairwell at x < 1.2, y < 3.2: two rooms below, which a door joins,
+/// three above. `slab` is the thickness of what lies between them; without, one sheet is ceiling and floor.
 fn house(slab: bool) -> Flat {
     let mut house = divided(0.9);
     house.0.triangles.drain(2..4);
@@ -406,9 +406,9 @@ fn unusable_input_is_an_error() {
     };
     fails(&no_rooms.0, RoomOptions::default(), "no room was found");
     fails(&Mesh::default(), RoomOptions::default(), "no triangle");
-    fails(&divided(0.9).0, RoomOptions { cell: 0.0, ..RoomOptions::default() }, "rooms.cell is 0");
+    fails(&divided(0.9).0, RoomOptions { cell: 0.0, ..RoomOptions::default() }, "RoomOptions::cell is 0");
     fails(&divided(0.9).0, RoomOptions { cell: 1e-5, ..RoomOptions::default() }, "too many cells");
-    fails(&divided(0.9).0, RoomOptions { up: [0.0; 3], ..RoomOptions::default() }, "rooms.up");
+    fails(&divided(0.9).0, RoomOptions { up: [0.0; 3], ..RoomOptions::default() }, "RoomOptions::up");
     let mut broken = divided(0.9).0;
     broken.positions[0] = Vec3::NAN;
     assert_eq!(detect(&broken, &[Vec3::NAN], &RoomOptions::default()).unwrap().count(), 2);

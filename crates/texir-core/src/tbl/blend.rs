@@ -6,7 +6,8 @@ use crate::raster::mean_of_channels;
 use crate::stats;
 
 /// Darker than the median by this much of the views' spread (median absolute deviation) is an outlier: somebody walked
-/// through the picture, or another surface is in the way. Twice that of a normal distribution's three standard deviations.
+/// through the picture, or another surface is in the way. Twice that of a normal distribution's three standard
+/// deviations.
 const DARKER: f32 = 9.0;
 /// And darker by this much in logarithmic luminance: views of nearly the same luminance differ by noise.
 const CLEARLY_DARKER: f32 = 0.1;
@@ -50,10 +51,10 @@ impl Best {
     ///
     /// What most views exclude is a light source (see [`super::Photo`]), and taken from the view that resolves it best.
     ///
-    /// What is reflected changes with the view, what is diffuse does not, and reflections only ever add light: a low quantile
-    /// of the logarithmic luminance is taken for the diffuse part, once what is much darker than most is left out. The
-    /// observations count less the further their logarithms are from it (Cauchy weights), so that a highlight, a passer-by or
-    /// a misprojected edge that few views show does not enter.
+    /// What is reflected changes with the view, what is diffuse does not, and reflections only ever add light: a low
+    /// quantile of the logarithmic luminance is taken for the diffuse part, once what is much darker than most is left
+    /// out. The observations count less the further their logarithms are from it (Cauchy weights), so that a highlight,
+    /// a passer-by or a misprojected edge that few views show does not enter.
     pub fn blend(&self, options: &TblOptions) -> Option<[f32; 3]> {
         if let Some(masked) = self.masked.filter(|_| self.excluded > 0) {
             return Some(masked.radiance);

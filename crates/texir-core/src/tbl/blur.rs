@@ -1,9 +1,10 @@
 //! How blurred the images of a capture are, from surfaces that several views see.
 //!
-//! A pixel is taken for the mean of what it covers. Lenses, stitching and resampling spread it further. A view that is much
-//! nearer to a surface shows what the pixel of a farther one should hold: P, the mean of what it sees within that pixel. A
-//! narrow point spread of variance v (square pixels, along each axis) makes it I = P + v/2 ∇²P, so that v is the slope of
-//! I − P over ∇²P/2. What views see differently for other reasons (reflections) has nothing to do with ∇²P, and is weighed down.
+//! A pixel is taken for the mean of what it covers. Lenses, stitching and resampling spread it further. A view that is
+//! much nearer to a surface shows what the pixel of a farther one should hold: P, the mean of what it sees within that
+//! pixel. A narrow point spread of variance v (square pixels, along each axis) makes it I = P + v/2 ∇²P, so that v is
+//! the slope of I − P over ∇²P/2. What views see differently for other reasons (reflections) has nothing to do with
+//! ∇²P, and is weighed down.
 
 use std::sync::Arc;
 
@@ -54,8 +55,9 @@ const PIXELS: usize = 1 << 26;
 /// Keeps quotients of black finite.
 const BLACK: f32 = 1e-4;
 
-/// The variance of the point spread beyond that of a pixel, square pixels along each axis, which is never negative; `None` where
-/// too few surfaces with edges or texture are seen from near and from far. Large captures are judged by their first views.
+/// The variance of the point spread beyond that of a pixel, square pixels along each axis, which is never negative;
+/// `None` where too few surfaces with edges or texture are seen from near and from far. Large captures are judged by
+/// their first views.
 pub fn measure(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Option<f32>> {
     let mut pixels = 0;
     let within = |view: &&View| {
@@ -187,19 +189,21 @@ impl<'a> Points<'a> {
     }
 }
 
-/// Pixels of a view per square metre of the surface at a point; `None` where it is seen from behind or at a grazing angle.
+/// Pixels of a view per square metre of the surface at a point; `None` where it is seen from behind or at a grazing
+/// angle.
 fn density(camera: &Camera, point: &SurfacePoint) -> Option<f32> {
     let to_camera = camera.position() - Vec3::from(point.position);
     let cosine = Vec3::from(point.normal).dot(to_camera) / to_camera.length();
     (cosine >= MIN_COSINE).then(|| pixels_per_steradian(camera) * cosine / to_camera.length_squared())
 }
 
-/// The slope of the differences over the curvatures, corrected for how the predictions are blurred themselves; `None` where its
-/// standard error says that it is not known.
+/// The slope of the differences over the curvatures, corrected for how the predictions are blurred themselves; `None`
+/// where its standard error says that it is not known.
 ///
-/// Products with the curvature of P alone would take noise of P for blur, which is in I − P and in ∇²P; with that of I alone,
-/// noise of I for the contrary. With both (an instrumental variable), what remains of noise, which is less in P, makes images
-/// sharper than they are, and so does nothing; and what surfaces that are out of place add to one is taken off the other.
+/// Products with the curvature of P alone would take noise of P for blur, which is in I − P and in ∇²P; with that of I
+/// alone, noise of I for the contrary. With both (an instrumental variable), what remains of noise, which is less in P,
+/// makes images sharper than they are, and so does nothing; and what surfaces that are out of place add to one is taken
+/// off the other.
 fn variance(comparisons: &[Comparison]) -> Option<f32> {
     let (mut slope, mut ratio, mut error) = (0.0f32, 0.0, f32::INFINITY);
     for scale in SCALES {

@@ -1,9 +1,9 @@
 //! Differences of exposure and white balance between views, from surfaces that several of them see.
 //!
-//! A view `v` shows texel `t` with ln L(v, t) = g(v) + x(t), per channel: its exposure, and the texel's own radiance. Weighted
-//! least squares over all pairs has a closed form once the texels are eliminated; what views see differently for other
-//! reasons (reflections, somebody who walks by) is weighed down and the system solved again. Only differences between views
-//! can be found: the mean of g is 0.
+//! A view `v` shows texel `t` with ln L(v, t) = g(v) + x(t), per channel: its exposure, and the texel's own radiance.
+//! Weighted least squares over all pairs has a closed form once the texels are eliminated; what views see differently
+//! for other reasons (reflections, somebody who walks by) is weighed down and the system solved again. Only differences
+//! between views can be found: the mean of g is 0.
 
 use rayon::prelude::*;
 
@@ -35,7 +35,8 @@ struct Sighting {
     log: [f64; 3],
 }
 
-/// The factors per channel by which the views' radiance must be multiplied to agree with each other; their geometric mean is
+/// The factors per channel by which the views' radiance must be multiplied to agree with each other; their geometric
+/// mean is
 /// 1. A view that shares no surface with others has 1.
 pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
@@ -76,8 +77,8 @@ pub(super) fn solve_photos(
     Ok(exposure.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
 }
 
-/// One weighted solution. The weights follow from how far the sightings of a texel are from their median under the exposures
-/// so far.
+/// One weighted solution. The weights follow from how far the sightings of a texel are from their median under the
+/// exposures so far.
 fn least_squares(texels: &[Vec<Sighting>], so_far: &[[f64; 3]], scale: f64) -> Result<Vec<[f64; 3]>> {
     let n = so_far.len();
     let mut matrix = vec![0.0; n * n];

@@ -67,8 +67,8 @@ impl Joined {
         self.across[triangle as usize].iter().flatten().chain(cracks).copied()
     }
 
-    /// The part of the surface that a triangle is in: what is joined to it without a crease between. Named by one of its
-    /// triangles.
+    /// The part of the surface that a triangle is in: what is joined to it without a crease between. Named by one of
+    /// its triangles.
     pub fn part(&self, triangle: u32) -> u32 {
         self.part[triangle as usize]
     }
@@ -122,8 +122,8 @@ impl OpenEdge {
     }
 }
 
-/// The triangle whose edge is nearest to the middle of each edge, where it is no further away than [`CRACK`] of its length: parts
-/// of an object that meet with other vertices, as the cover of a lampshade and its side.
+/// The triangle whose edge is nearest to the middle of each edge, where it is no further away than [`CRACK`] of its
+/// length: parts of an object that meet with other vertices, as the cover of a lampshade and its side.
 fn across_cracks(edges: &[OpenEdge]) -> Vec<Option<u32>> {
     let mut lengths: Vec<f32> = edges.iter().map(OpenEdge::length).collect();
     let Some(median) = median(&mut lengths) else { return Vec::new() };

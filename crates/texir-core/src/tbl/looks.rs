@@ -1,7 +1,7 @@
 //! What the pixels of all views show at light sources and beside them.
 //!
-//! A lamp may be a fraction of a pixel: many rays go through each, so that no texel is missed. Sources that are found later add the
-//! pixels around them; what was looked at is not looked at again.
+//! A lamp may be a fraction of a pixel: many rays go through each, so that no texel is missed. Sources that are found
+//! later add the pixels around them; what was looked at is not looked at again.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -33,8 +33,8 @@ pub(super) struct Look {
     /// Along each axis, as it was looked at.
     rays: u8,
     pub radiance: Vec3,
-    /// The texels, which sum to the part of the pixel that shows the mesh. Nothing where it shows the back of a surface, whose
-    /// radiance the texture does not hold.
+    /// The texels, which sum to the part of the pixel that shows the mesh. Nothing where it shows the back of a
+    /// surface, whose radiance the texture does not hold.
     pub shares: Vec<Tap>,
 }
 
@@ -84,7 +84,8 @@ impl Looks {
         Ok(())
     }
 
-    /// The pixels that show something, view by view, each in the order of its pixels: view and index in its image, and what.
+    /// The pixels that show something, view by view, each in the order of its pixels: view and index in its image, and
+    /// what.
     pub(super) fn each(&self) -> impl Iterator<Item = ((usize, usize), &Look)> {
         let of_view = |(view, looks)| BTreeMap::iter(looks).map(move |(pixel, look)| ((view, *pixel), look));
         let shows_something = |look: &Look| !look.shares.is_empty() && look.radiance.is_finite();

@@ -1,10 +1,10 @@
 //! Texture-based lighting from the views: the radiance of every atlas texel, as the panoramas or photos show it.
 //!
 //! Each texel's surface point is projected into every view, tested for visibility, sampled (`sample.rs`) and blended
-//! robustly over the views (`blend.rs`). Pixels that masks exclude are not used unless they show the light (`photo.rs`); light
-//! sources are resolved below the size of pixels (`sources.rs`). Texels that no view sees are filled along the surface from
-//! light sources (`unseen.rs`) and otherwise from their neighbourhood in space (`inpaint.rs`), and flagged. Views are read
-//! one at a time; memory is bounded by the atlas and a band of it.
+//! robustly over the views (`blend.rs`). Pixels that masks exclude are not used unless they show the light
+//! (`photo.rs`); light sources are resolved below the size of pixels (`sources.rs`). Texels that no view sees are
+//! filled along the surface from light sources (`unseen.rs`) and otherwise from their neighbourhood in space
+//! (`inpaint.rs`), and flagged. Views are read one at a time; memory is bounded by the atlas and a band of it.
 
 mod blend;
 pub mod blur;
@@ -41,8 +41,8 @@ use sample::Sampler;
 /// Side of the atlas, texels, where neither anybody nor views say.
 pub const DEFAULT_SIZE: usize = 1024;
 
-/// Side of the atlas, texels, when nobody says: [`DEFAULT_SIZE`], or twice that where views have more pixels than such an atlas has texels,
-/// as it would hold less than they show.
+/// Side of the atlas, texels, when nobody says: [`DEFAULT_SIZE`], or twice that where views have more pixels than such
+/// an atlas has texels, as it would hold less than they show.
 pub fn default_side(views: &[View]) -> usize {
     let pixels: usize = views.iter().map(|view| view.camera.pixels()).sum();
     if pixels > DEFAULT_SIZE * DEFAULT_SIZE { 2 * DEFAULT_SIZE } else { DEFAULT_SIZE }
@@ -76,30 +76,32 @@ impl TblOptions {
     fn check(&self) -> Result<()> {
         let ranges = [
             ("min_cosine", self.min_cosine, 0.0..=1.0),
-            ("sharpness", self.sharpness, 0.0..=16.0),
+            ("sharpness", self.sharpness, 0.0..=4.0),
             ("quantile", self.quantile, 0.0..=1.0),
             ("tolerance", self.tolerance, 1e-3..=1e6),
         ];
         match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
             None => Ok(()),
-            Some((name, value, range)) => {
-                Err(Error::invalid(format!("tbl.{name} is {value}; expected {} to {}", range.start(), range.end())))
-            }
+            Some((name, value, range)) => Err(Error::invalid(format!(
+                "TblOptions::{name} is {value}; expected {} to {}",
+                range.start(),
+                range.end()
+            ))),
         }
     }
 }
 
-/// Pixels' worth of a triangle that must be shown dark for it to be known as no source: of the back of a lampshade, pixels at
-/// the rim may show a hundredth, and be mistaken in it.
+/// Pixels' worth of a triangle that must be shown dark for it to be known as no source: of the back of a lampshade,
+/// pixels at the rim may show a hundredth, and be mistaken in it.
 const EVIDENT: f32 = 0.05;
-/// Texels that are worked on at a time, at least: 80 MB of observations. All images are read again for each such band, so that a
-/// band may take as much memory as the largest image with what its pixels show.
+/// Texels that are worked on at a time, at least: 80 MB of observations. All images are read again for each such band,
+/// so that a band may take as much memory as the largest image with what its pixels show.
 const BAND: usize = 1 << 18;
 /// The observations of a texel are as large as so many pixels of an image with what they show.
 const PIXELS_PER_TEXEL: usize = 8;
 
-/// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance and
-/// whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
+/// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance
+/// and whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
 /// [`Coverage::Outside`].
 pub fn build(
     backend: &mut dyn Backend,
@@ -152,7 +154,8 @@ fn fuse(
     fusion.complete(backend, &mut load, radiance, None)
 }
 
-/// A TBL, of the size of `atlas`, whose light sources are made to explain the pixels of `views`, as those of [`build`] are.
+/// A TBL, of the size of `atlas`, whose light sources are made to explain the pixels of `views`, as those of [`build`]
+/// are.
 pub fn resolve_sources(
     backend: &mut dyn Backend,
     atlas: &Atlas,
@@ -187,9 +190,9 @@ struct Fusion<'a> {
 }
 
 impl Fusion<'_> {
-    /// The TBL from the radiance of the texels that are seen: light sources are separated from what is beside them, and what
-    /// is not seen is filled, as in `given` where that filled it. Light sources are not: what is filled may have taken their
-    /// light for the ceiling's behind them.
+    /// The TBL from the radiance of the texels that are seen: light sources are separated from what is beside them, and
+    /// what is not seen is filled, as in `given` where that filled it. Light sources are not: what is filled may have
+    /// taken their light for the ceiling's behind them.
     fn complete(
         &self,
         backend: &mut dyn Backend,
@@ -249,8 +252,8 @@ impl Fusion<'_> {
         Ok(blended)
     }
 
-    /// Light sources get the radiance that explains the pixels, and what is beside them is blended anew without the pixels
-    /// that mix the two; it counts as unseen where there are no others.
+    /// Light sources get the radiance that explains the pixels, and what is beside them is blended anew without the
+    /// pixels that mix the two; it counts as unseen where there are no others.
     fn separate_sources(
         &self,
         backend: &mut dyn Backend,

@@ -3,15 +3,15 @@
 use crate::raster::{Mask, Rgb, mean_of_channels};
 use crate::stats::median;
 
-/// A pixel that a mask excludes is taken for a light source when it is this many times brighter than the median of those
-/// that the mask leaves.
+/// A pixel that a mask excludes is taken for a light source when it is this many times brighter than the median of
+/// those that the mask leaves.
 const SOURCE: f32 = 2.0;
 
 /// A view's image and its mask.
 ///
-/// Masks say what a fit of materials is to leave out: what is no part of the scene (the rig, passers-by), and light sources.
-/// Only the brightness tells the two apart: excluded pixels that are dim are not used, and bright ones are, where most views
-/// that see a surface exclude it.
+/// Masks say what a fit of materials is to leave out: what is no part of the scene (the rig, passers-by), and light
+/// sources. Only the brightness tells the two apart: excluded pixels that are dim are not used, and bright ones are,
+/// where most views that see a surface exclude it.
 #[derive(Clone, Debug)]
 pub(super) struct Photo {
     /// Linear radiance; pixels that must not be used are NaN.

@@ -1,9 +1,10 @@
 //! Small errors of the camera poses, from surfaces that several views see.
 //!
-//! Texels that other views see predict what a view shows of them. Gauss–Newton steps over the six degrees of freedom of a
-//! rigid motion lessen the difference in logarithmic luminance (direct image alignment, Lucas and Kanade 1981; in logarithms,
-//! so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view moves only where
-//! that lessens its difference; what views see differently for other reasons is weighed down (Cauchy weights).
+//! Texels that other views see predict what a view shows of them. Gauss–Newton steps over the six degrees of freedom of
+//! a rigid motion lessen the difference in logarithmic luminance (direct image alignment, Lucas and Kanade 1981; in
+//! logarithms, so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view
+//! moves only where that lessens its difference; what views see differently for other reasons is weighed down (Cauchy
+//! weights).
 
 use glam::{DVec2, Mat4, Quat, Vec3};
 use rayon::prelude::*;

@@ -27,8 +27,8 @@ impl<'a> Shown<'a> {
         Ok(Self { scene: backend.scene().clone(), camera, hits })
     }
 
-    /// Whether a pixel shows the surface of a point at this distance from the camera, metres: it lies no further from the
-    /// point's plane than half a pixel is wide there.
+    /// Whether a pixel shows the surface of a point at this distance from the camera, metres: it lies no further from
+    /// the point's plane than half a pixel is wide there.
     pub fn shows(&self, pixel: usize, point: &SurfacePoint, distance: f32) -> bool {
         let (mesh, hit, normal) = (&self.scene.mesh, self.hits[pixel], Vec3::from(point.normal));
         let slack = 0.5 * distance / pixels_per_steradian(self.camera).sqrt();
@@ -38,8 +38,8 @@ impl<'a> Shown<'a> {
     }
 }
 
-/// Resolution of a view: pixels per steradian at a panorama's horizon, or on a pinhole's axis. (The crowded columns near
-/// a panorama's poles carry no more detail than its rows, so that sin φ does not enter.)
+/// Resolution of a view: pixels per steradian at a panorama's horizon, or on a pinhole's axis. (The crowded columns
+/// near a panorama's poles carry no more detail than its rows, so that sin φ does not enter.)
 pub(crate) fn pixels_per_steradian(camera: &Camera) -> f32 {
     let middle = camera.pixels_per_radian(camera.height as f32 / 2.0);
     middle.x * middle.y

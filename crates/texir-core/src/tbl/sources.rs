@@ -1,15 +1,15 @@
 //! Light sources at the resolution of the texture.
 //!
-//! A pixel at the rim of a lamp, or one that is larger than the lamp, shows the lamp and what surrounds it. Blending such
-//! pixels dims lamps and lets them glow onto the ceiling beside them, and a dimmed lamp lights the whole scene less. Around
-//! light sources the texture is therefore made to explain the pixels of all views: every pixel is the mean of the texels it
-//! shows, and Richardson–Lucy iterations (Richardson 1972, Lucy 1974) find non-negative texels with these means. They keep
-//! the power that the pixels hold, whatever the pixels' size, so that a lamp below the size of a pixel gets the radiance
-//! that its area needs.
+//! A pixel at the rim of a lamp, or one that is larger than the lamp, shows the lamp and what surrounds it. Blending
+//! such pixels dims lamps and lets them glow onto the ceiling beside them, and a dimmed lamp lights the whole scene
+//! less. Around light sources the texture is therefore made to explain the pixels of all views: every pixel is the mean
+//! of the texels it shows, and Richardson–Lucy iterations (Richardson 1972, Lucy 1974) find non-negative texels with
+//! these means. They keep the power that the pixels hold, whatever the pixels' size, so that a lamp below the size of a
+//! pixel gets the radiance that its area needs.
 //!
-//! Which of the texels in a pixel shine, the face of a spot or its rim, only other views can tell, and texel by texel there are
-//! too few. Lamps of few pixels therefore begin with one radiance for each of their smooth parts, and depart from that as
-//! far as pixels tell.
+//! Which of the texels in a pixel shine, the face of a spot or its rim, only other views can tell, and texel by texel
+//! there are too few. Lamps of few pixels therefore begin with one radiance for each of their smooth parts, and depart
+//! from that as far as pixels tell.
 
 use std::collections::{HashMap, HashSet};
 
@@ -26,8 +26,8 @@ use crate::inpaint;
 use crate::raster::mean_of_channels;
 use crate::texture::{Rows, Tap, merge};
 
-/// Richardson–Lucy iterations for texels: what is a pixel wide is sharp after about ten, what is a fraction of it after some
-/// more, and noise after many.
+/// Richardson–Lucy iterations for texels: what is a pixel wide is sharp after about ten, what is a fraction of it after
+/// some more, and noise after many.
 const ITERATIONS: usize = 30;
 /// Iterations for the parts of lamps, which are few and seen by many pixels: dark ones fade slowly.
 const PART_ITERATIONS: usize = 2000;
@@ -35,12 +35,13 @@ const PART_ITERATIONS: usize = 2000;
 const PART_PIXELS: f32 = 150.0;
 /// Share of a part's texels that must be taken for sources: what glows of a ceiling is no part of a lamp.
 const PART_SOURCES: f32 = 0.5;
-/// What the pixels say of a texel counts against this many pixels that say that it is right: texels that are hardly seen
-/// stay as they are.
+/// What the pixels say of a texel counts against this many pixels that say that it is right: texels that are hardly
+/// seen stay as they are.
 const DAMPING: f32 = 0.1;
-/// How often texels that come out as light sources although their blend is dark are looked at in all views. A pixel at the rim
-/// of a lamp that is brighter than its share of the lamp (noise, a pose that is slightly off) makes the bits of wall that it
-/// shows as well shine; in other views, where they are beside no lamp, they are dark. Each round finds a fraction of the last.
+/// How often texels that come out as light sources although their blend is dark are looked at in all views. A pixel at
+/// the rim of a lamp that is brighter than its share of the lamp (noise, a pose that is slightly off) makes the bits of
+/// wall that it shows as well shine; in other views, where they are beside no lamp, they are dark. Each round finds a
+/// fraction of the last.
 const REVIEWS: usize = 4;
 /// A pixel mixes a light source in when this share of its radiance is the source's.
 const MIXED: f32 = 0.05;
@@ -195,8 +196,9 @@ fn parts_of_lamps(
     parts.into_iter().map(place).collect()
 }
 
-/// Where texels start from: those of a part from the one radiance that explains the pixels best, the others from `start`. What is
-/// beside parts is taken as it is in `start`, but below `limit` where it is no lamp: what glows there, the lamp lends it.
+/// Where texels start from: those of a part from the one radiance that explains the pixels best, the others from
+/// `start`. What is beside parts is taken as it is in `start`, but below `limit` where it is no lamp: what glows there,
+/// the lamp lends it.
 fn explain_parts(
     rows: &Rows,
     seen: &[Vec3],
@@ -240,8 +242,8 @@ fn explain_parts(
     start
 }
 
-/// Richardson–Lucy: the texels whose means over `rows` are the pixels `seen` less what is known to be `beside` them, from `start`
-/// (from what the pixels show, where there is none).
+/// Richardson–Lucy: the texels whose means over `rows` are the pixels `seen` less what is known to be `beside` them,
+/// from `start` (from what the pixels show, where there is none).
 fn explain(rows: &Rows, seen: &[Vec3], beside: &[Vec3], start: &[Option<Vec3>], iterations: usize) -> Vec<Vec3> {
     let columns = rows.transposed(start.len());
     let gather = |matrix: &Rows, values: &[Vec3]| -> Vec<Vec3> {
@@ -275,8 +277,8 @@ mod tests {
 
     #[test]
     fn the_rim_of_a_spot_that_pixels_show_together_with_its_face_stays_dark() {
-        // Eight texels of a face that shines with 100, as many of its dark rim, and of the ceiling beside it. Pixels are larger than
-        // all of the spot, off by up to 10 %, and the blend has given the spot's light to everything.
+        // Eight texels of a face that shines with 100, as many of its dark rim, and of the ceiling beside it. Pixels
+        // are larger than all of the spot, off by up to 10 %, and the blend has given the spot's light to everything.
         const TEXELS: u32 = 8;
         let random = |pixel: u32, k: u32| hash2(pixel, k) as f32 / u32::MAX as f32;
         let (mut rows, mut seen) = (Vec::new(), Vec::new());

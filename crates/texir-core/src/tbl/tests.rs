@@ -254,8 +254,8 @@ fn a_lamp_as_small_as_a_pixel_keeps_its_power_and_does_not_glow() {
     let images = cameras.map(|camera| filtered_photograph(&scene, &camera, shine));
     let mut backend = CpuBackend::new(scene.clone());
     let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
-    // Of the ceiling around the lamp: Σ radiance · area beyond the ceiling's own, against the lamp's, and the strongest glow
-    // 10 cm beside it.
+    // Of the ceiling around the lamp: Σ radiance · area beyond the ceiling's own, against the lamp's, and the strongest
+    // glow 10 cm beside it.
     let measure = |radiance: &dyn Fn(usize) -> f32| {
         let (mut power, mut truth, mut glow) = (0.0, 0.0, 0.0f32);
         for (i, point) in atlas.points.iter().enumerate().filter(|(_, point)| point.triangle / 2 == 1) {
@@ -434,7 +434,8 @@ fn what_others_filled_with_a_lamps_light_is_filled_anew() {
     crate::image_io::write_rgb(&path, &photograph(&scene, &camera, |_, _| [0.5; 3])).unwrap();
     let view = View::new("view".into(), camera, crate::capture::Split::Train, path);
     let seen = fuse_images(&scene, &[camera], &[view.load_image(&Silent).unwrap()], &TblOptions::default());
-    // What the view does not see was filled by someone else: dimly in one half of the room, with a lamp's light in the other.
+    // What the view does not see was filled by someone else: dimly in one half of the room, with a lamp's light in the
+    // other.
     let mut given = seen.clone();
     let dim = |p: Vec3| p.y < 1.5;
     for (&t, point) in atlas.texels.iter().zip(&atlas.points) {
@@ -443,15 +444,18 @@ fn what_others_filled_with_a_lamps_light_is_filled_anew() {
         }
     }
     let resolved = resolve_sources(&mut backend, &atlas, &given, &[view], &Silent).unwrap();
+    let mut filled = [0; 2];
     for (&t, point) in atlas.texels.iter().zip(&atlas.points) {
         if resolved.coverage.data[t as usize] == Coverage::Inpainted {
             let [got, ..] = resolved.radiance.data[t as usize];
+            filled[usize::from(dim(point.position.into()))] += 1;
             match dim(point.position.into()) {
                 true => assert_eq!(got, 0.7),
                 false => assert!((0.499..0.701).contains(&got), "filled with {got}"),
             }
         }
     }
+    assert!(filled.iter().all(|texels| *texels > 10), "{filled:?} texels were looked at");
 }
 
 #[test]
@@ -537,7 +541,7 @@ fn unusable_input_is_an_error() {
     fails(inside, Rgb::filled(8, 8, [0.5; 3]), options, "pixels");
     fails(panorama(ROOM * 3.0, 0.0), grey.clone(), options, "sees the mesh");
     fails(inside, grey.map(|_| [f32::NAN; 3]), options, "sees the mesh");
-    fails(inside, grey, TblOptions { quantile: 1.5, ..options }, "tbl.quantile is 1.5");
+    fails(inside, grey, TblOptions { quantile: 1.5, ..options }, "TblOptions::quantile is 1.5");
 }
 
 /// Cameras in the corners and the middle of the room.
@@ -573,9 +577,14 @@ fn somebody_who_walks_by_leaves_no_ghost() {
         paint(&mut images[4], radiance);
         let robust = largest(&images, &options);
         assert!(robust < empty + 0.05, "a box of {radiance:?} changes a texel by {robust}; without it: {empty}");
-        // Negative control: a blend that believes every view.
-        let plain = largest(&images, &TblOptions { tolerance: 1e6, quantile: 0.0, ..options });
-        assert!(plain > 0.3 || radiance[0] < 1.0, "without rejection it changes a texel by {plain} only");
+        // Negative control: a blend that believes every view. (Something dark in one of many takes little in any case.)
+        if radiance[0] > 1.0 {
+            let plain = largest(&images, &TblOptions { tolerance: 1e6, quantile: 0.0, ..options });
+            assert!(
+                plain > empty + 0.03,
+                "without rejection it changes a texel by {plain}, without the box by {empty}"
+            );
+        }
     }
 }
 

@@ -10,8 +10,8 @@ use crate::atlas::Atlas;
 use crate::mesh::Mesh;
 use crate::raster::mean_of_channels;
 
-/// A triangle is a light source when at least this share of its seen texels are: a ceiling of which mostly its lamp is seen
-/// shall not shine where it is not seen.
+/// A triangle is a light source when at least this share of its seen texels are: a ceiling of which mostly its lamp is
+/// seen shall not shine where it is not seen.
 const SOURCES: f32 = 0.9;
 
 /// A triangle on the way along the surface, nearest first.
@@ -35,10 +35,10 @@ impl PartialOrd for Front {
     }
 }
 
-/// Gives the texels that are not `seen` the light of the source that they are part of: a triangle without a seen texel belongs
-/// to the nearest one along the surface that has some, and shines if that does, as bright as what is seen of the whole source.
-/// Texels brighter than `limit` (mean over the channels) shine. Texels that are known to be no source count as seen, whatever
-/// their radiance: a window's frame does not shine where its pixels show mostly panes.
+/// Gives the texels that are not `seen` the light of the source that they are part of: a triangle without a seen texel
+/// belongs to the nearest one along the surface that has some, and shines if that does, as bright as what is seen of
+/// the whole source. Texels brighter than `limit` (mean over the channels) shine. Texels that are known to be no source
+/// count as seen, whatever their radiance: a window's frame does not shine where its pixels show mostly panes.
 pub(super) fn shine(mesh: &Mesh, joined: &Joined, atlas: &Atlas, limit: f32, seen: &[bool], radiance: &mut [[f32; 3]]) {
     let known = light_of_seen(mesh, atlas, limit, seen, radiance);
     let light = of_sources(&sources(mesh, joined, &known), joined, &known);
@@ -80,16 +80,17 @@ fn light_of_seen(mesh: &Mesh, atlas: &Atlas, limit: f32, seen: &[bool], radiance
     known
 }
 
-/// Which triangles are part of a source: of those that are not seen, the ones whose nearest seen triangle is, both along the
-/// surface and along their smooth part of it, where that has one. The dark rim of a spot is nearer to its shining face than to
-/// what is seen of the rim.
+/// Which triangles are part of a source: of those that are not seen, the ones whose nearest seen triangle is, both
+/// along the surface and along their smooth part of it, where that has one. The dark rim of a spot is nearer to its
+/// shining face than to what is seen of the rim.
 fn sources(mesh: &Mesh, joined: &Joined, known: &[SeenOfTriangle]) -> Vec<bool> {
     let nearest = spread(mesh, known, |t| joined.of(t));
     let smooth = spread(mesh, known, |t| joined.of(t).filter(move |&next| joined.part(next) == joined.part(t)));
     nearest.into_iter().zip(smooth).map(|(nearest, smooth)| nearest == Some(true) && smooth != Some(false)).collect()
 }
 
-/// Whether the nearest seen triangle shines, along paths from neighbour to neighbour (Dijkstra); `None` where none leads to one.
+/// Whether the nearest seen triangle shines, along paths from neighbour to neighbour (Dijkstra); `None` where none
+/// leads to one.
 fn spread<N: Iterator<Item = u32>>(
     mesh: &Mesh,
     known: &[SeenOfTriangle],
@@ -118,8 +119,8 @@ fn spread<N: Iterator<Item = u32>>(
     shines
 }
 
-/// The light of each triangle that `shines`: the mean over what is seen of those that it is connected with. What is seen at the
-/// rim of a lamp alone, where a pixel shows more of what is behind it, is little evidence of its back.
+/// The light of each triangle that `shines`: the mean over what is seen of those that it is connected with. What is
+/// seen at the rim of a lamp alone, where a pixel shows more of what is behind it, is little evidence of its back.
 fn of_sources(shines: &[bool], joined: &Joined, known: &[SeenOfTriangle]) -> Vec<Option<[f32; 3]>> {
     let mut light = vec![None; shines.len()];
     let mut visited = vec![false; shines.len()];

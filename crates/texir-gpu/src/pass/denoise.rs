@@ -19,8 +19,8 @@ const PASSES: [(&str, u64); 5] =
 /// Points that a thread looks at where texels are of one size.
 const USUAL: u64 = 550;
 
-/// Points that a thread may look at: a software driver silently ends it after 65,535 iterations of all its loops, and on any device a
-/// few threads with many more would take longer than drivers allow.
+/// Points that a thread may look at: a software driver silently ends it after 65,535 iterations of all its loops, and
+/// on any device a few threads with many more would take longer than drivers allow.
 const MOST_LOOKED_AT: u64 = 65_000;
 
 /// Points of a dispatch at most: each may lie in a cell of its own, whose ranges are uploaded.

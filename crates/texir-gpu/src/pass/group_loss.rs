@@ -7,8 +7,8 @@ use texir_core::error::Result;
 
 use crate::batch::Context;
 
-/// Members of a group at most on a software driver, which silently ends a thread after 65,535 iterations of all its loops: 256 threads
-/// go through a group seven times.
+/// Members of a group at most on a software driver, which silently ends a thread after 65,535 iterations of all its
+/// loops: 256 threads go through a group seven times.
 const MOST_MEMBERS: u32 = 2_000_000;
 
 #[repr(C)]

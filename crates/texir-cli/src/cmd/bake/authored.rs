@@ -42,8 +42,9 @@ pub struct Authored {
     /// Stop after N bounces even so; 0 bakes direct light alone [default: 64]
     #[arg(long, value_name = "N")]
     bounces: Option<u32>,
-    /// Let surfaces send on what they reflect specularly as well, as if it went everywhere: dielectrics 6 % more of the light than their
-    /// base colour. For scenes of `texir fit`, or where base colours are measured; without it surfaces are Lambertian
+    /// Let surfaces send on what they reflect specularly as well, as if it went everywhere: dielectrics 6 % more of the
+    /// light than their base colour. For scenes of `texir fit`, or where base colours are measured; without it surfaces
+    /// are Lambertian
     #[arg(long)]
     specular: bool,
 }
@@ -79,8 +80,8 @@ struct Summary {
     rays: u64,
     /// Mean irradiance of the direct light and of every bounce, lux.
     series: Vec<f64>,
-    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where the last bounce
-    /// brought no less light than the one before.
+    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where the last
+    /// bounce brought no less light than the one before.
     remainder: Option<f64>,
     /// The same of the light of that part of the map which lacks most.
     remainder_of_a_part: f64,
@@ -90,8 +91,10 @@ struct Summary {
 pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Failure> {
     let options = &bake.authored;
     let tolerance = options.tolerance.unwrap_or(TOLERANCE);
-    if !(tolerance >= 0.0 && options.environment_nits >= 0.0 && options.environment_nits.is_finite()) {
-        return Err(Failure::new("--tolerance and --environment-nits must be numbers of at least 0"));
+    for (option, value) in [("--tolerance", tolerance), ("--environment-nits", options.environment_nits)] {
+        if !(value >= 0.0 && value.is_finite()) {
+            return Err(Failure::new(format!("{option} is {value}; expected a number of at least 0")));
+        }
     }
     let glb = bake.output.with_extension("glb");
     check_outputs(&[&glb], read)?;

@@ -1,5 +1,6 @@
-//! Transforms as the NeRF-synthetic scenes' Blender script writes them: `transforms_train.json` and, for held-out views,
-//! `transforms_val.json` and `transforms_test.json`. One horizontal field of view for all, file names without extension.
+//! Transforms as the NeRF-synthetic scenes' Blender script writes them: `transforms_train.json` and, for held-out
+//! views, `transforms_val.json` and `transforms_test.json`. One horizontal field of view for all, file names without
+//! extension.
 
 use std::path::Path;
 

@@ -10,8 +10,8 @@ const ENCODED: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Extensions of meshes, in the order in which they are looked for.
 const MESH: [&str; 4] = ["obj", "glb", "gltf", "ply"];
 
-/// `folder/<any of places>/name`, a linear image of the same stem before the named file itself. Where there is none, the
-/// first place that it could have been in: whoever opens it says that it is missing.
+/// `folder/<any of places>/name`, a linear image of the same stem before the named file itself. Where there is none,
+/// the first place that it could have been in: whoever opens it says that it is missing.
 pub(super) fn image(folder: &Path, places: &[&str], name: &str) -> PathBuf {
     let candidates =
         || places.iter().map(|place| if place.is_empty() { folder.join(name) } else { folder.join(place).join(name) });

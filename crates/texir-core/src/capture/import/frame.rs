@@ -1,5 +1,7 @@
 //! From a source's frame to texir's: metres, +Z against gravity.
 
+use std::ops::RangeInclusive;
+
 use glam::{DMat4, DQuat, DVec3, Vec3};
 
 use super::{ImportOptions, Source};
@@ -10,6 +12,9 @@ use crate::mesh::Mesh;
 /// Cameras are held level more or less: when their mean up direction is this close to an axis, in degrees, the axis is
 /// meant.
 const SNAP_DEGREES: f64 = 10.0;
+
+/// Metres that a unit of a source may be.
+const UNITS: RangeInclusive<f64> = 1e-6..=1e6;
 
 /// A rotation after a scaling: how what a source holds becomes what texir holds.
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +39,11 @@ impl Similarity {
             (None, Some(length)) => (length, "the format's convention"),
             (None, None) => (1.0, "nothing says otherwise: compare the extent of the mesh with the real one"),
         };
-        if !(metres_per_unit > 0.0 && metres_per_unit.is_finite()) {
-            return Err(Error::invalid(format!("metres per unit is {metres_per_unit}; expected a positive number")));
+        if !UNITS.contains(&metres_per_unit) {
+            let (least, most) = (UNITS.start(), UNITS.end());
+            return Err(Error::invalid(format!(
+                "metres per unit is {metres_per_unit}; expected {least:e} to {most:e}"
+            )));
         }
         assumed.push(format!("a unit of the source is {metres_per_unit} m ({why})"));
         Ok(Self { texir_from_source: DQuat::from_rotation_arc(direction, DVec3::Z), metres_per_unit })

@@ -1,6 +1,6 @@
 //! A glTF or GLB whose nodes are the cameras: what Blender and other modellers export. A node's image has its name (the
-//! node's, its camera's or its parent's). A node with a camera is a pinhole; one without, whose image is twice as wide as
-//! high, is a panorama. glTF's world has +Y up, metres; its cameras have OpenGL axes.
+//! node's, its camera's or its parent's). A node with a camera is a pinhole; one without, whose image is twice as wide
+//! as high, is a panorama. glTF's world has +Y up, metres; its cameras have OpenGL axes.
 
 use std::path::{Path, PathBuf};
 

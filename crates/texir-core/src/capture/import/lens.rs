@@ -94,8 +94,8 @@ impl Distortion {
         }
     }
 
-    /// The largest radius of the pinhole up to which the model is one-to-one: a polynomial that was fitted to the photo's
-    /// field folds back beyond it. At most the widest pinhole's.
+    /// The largest radius of the pinhole up to which the model is one-to-one: a polynomial that was fitted to the
+    /// photo's field folds back beyond it. At most the widest pinhole's.
     fn largest_radius(&self) -> f64 {
         let widest = WIDEST_DEGREES.to_radians().tan();
         let photo_radius = |r: f64| match self {

@@ -1,7 +1,7 @@
 //! A house of Matterport3D, as <https://github.com/niessner/Matterport/blob/master/data_organization.md> describes it:
-//! either what the camera gave (`matterport_camera_poses`, `matterport_camera_intrinsics`; OpenCV axes, distorted), whose
-//! HDR images have to be converted from JPEG XR first, or the undistorted photos (`undistorted_camera_parameters`; OpenGL
-//! axes, image origin at the bottom). Metres, +Z up.
+//! either what the camera gave (`matterport_camera_poses`, `matterport_camera_intrinsics`; OpenCV axes, distorted),
+//! whose HDR images have to be converted from JPEG XR first, or the undistorted photos
+//! (`undistorted_camera_parameters`; OpenGL axes, image origin at the bottom). Metres, +Z up.
 
 use std::path::{Path, PathBuf};
 

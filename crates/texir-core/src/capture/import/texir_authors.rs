@@ -8,8 +8,8 @@
 //!   `roughness.png`;
 //! - `hdr_texture/out1.obj` and `hdr_texture/hdr_texture.hdr`.
 //!
-//! Cameras look along +Z with x to the right and y down, and the world's y points down as well: both follow from how that
-//! code renders (`Pano2Cube` puts +z in the image's centre, the projection takes +z as forward, rows grow with y).
+//! Cameras look along +Z with x to the right and y down, and the world's y points down as well: both follow from how
+//! that code renders (`Pano2Cube` puts +z in the image's centre, the projection takes +z as forward, rows grow with y).
 //! Its `hdr_exposure` scales views and texture alike and is left out: radiance has an arbitrary unit.
 
 use std::path::Path;

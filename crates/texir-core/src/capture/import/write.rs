@@ -48,8 +48,8 @@ pub fn check_vacant(out: &Path) -> Result<()> {
     }
 }
 
-/// Writes images (copied or linked where they need no change), textures, `mesh.obj` and `transforms.json`, to a folder that is not
-/// there or [empty](check_vacant): all of it or nothing.
+/// Writes images (copied or linked where they need no change), textures, `mesh.obj` and `transforms.json`, to a folder
+/// that is not there or [empty](check_vacant): all of it or nothing.
 pub fn write(
     import: &Import,
     out: impl AsRef<Path>,

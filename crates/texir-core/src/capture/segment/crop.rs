@@ -9,7 +9,8 @@ use crate::image_io::encode_srgb;
 use crate::raster::{Raster, Rgb, luminance};
 use crate::stats::median;
 
-/// Half the angle that a crop of a panorama takes in. The faces of a cube would do with 45°; what is beyond that overlaps.
+/// Half the angle that a crop of a panorama takes in. The faces of a cube would do with 45°; what is beyond that
+/// overlaps.
 const HALF_ANGLE_DEGREES: f32 = 52.0;
 /// The shorter edge of a crop when the model leaves it open: that of the benchmark on ADE20K, pixels.
 const SHORTER_EDGE: usize = 512;
@@ -70,8 +71,8 @@ pub(super) fn crops(view: &Camera, input: InputSize) -> Vec<Camera> {
     faces.map(camera).collect()
 }
 
-/// The weight of what a crop tells about a place in it, both coordinates in [0, 1]: falls to nothing at its border, where
-/// another one takes over.
+/// The weight of what a crop tells about a place in it, both coordinates in [0, 1]: falls to nothing at its border,
+/// where another one takes over.
 pub(super) fn weight(at: Vec2) -> f32 {
     (Vec2::ONE - (2.0 * at - Vec2::ONE).abs()).max(Vec2::ZERO).element_product()
 }

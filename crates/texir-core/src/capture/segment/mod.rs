@@ -1,8 +1,8 @@
 //! Semantic ids by a segmentation model of the user's own, an ONNX file: `texir import --segment`.
 //!
-//! The model takes an image, 1×3×height×width, as photos are: 8-bit sRGB, as [0, 1] less ImageNet's mean and divided by its
-//! standard deviation. It gives a score for each class (1×classes×h×w) or the index of the best one (1×h×w, 1×1×h×w),
-//! at any resolution; classes are in the order of their list.
+//! The model takes an image, 1×3×height×width, as photos are: 8-bit sRGB, as [0, 1] less ImageNet's mean and divided by
+//! its standard deviation. It gives a score for each class (1×classes×h×w) or the index of the best one (1×h×w,
+//! 1×1×h×w), at any resolution; classes are in the order of their list.
 //!
 //! Needs the feature `onnx`; without it, [`Segmenter::open`] says so.
 

@@ -23,8 +23,8 @@ pub struct Segmenter {
 }
 
 impl Segmenter {
-    /// Opens a model and the list of its classes, in the order of its outputs: one that comes along by its name, or a JSON
-    /// file ([`Classes::open`]). The model is tried on a grey image.
+    /// Opens a model and the list of its classes, in the order of its outputs: one that comes along by its name, or a
+    /// JSON file ([`Classes::open`]). The model is tried on a grey image.
     pub fn open(model: impl AsRef<Path>, classes: &str) -> Result<Self> {
         let classes = Classes::open(classes, Path::new(""))?;
         let network = Network::open(model.as_ref(), classes.list.len())?;

@@ -12,10 +12,10 @@ const PLAINEST: f64 = 0.1;
 /// A standard deviation by the median of absolute values, where these are normal.
 const OF_NORMAL: f32 = 1.4826;
 
-/// Standard deviation of ln radiance from pixel to pixel. Blocks are convolved with the difference of two Laplacians, which
-/// leaves nothing of an even or sloped patch (Immerkær 1996, Fast noise variance estimation, eq. 2), and one of the plainest
-/// speaks for the image. Blocks with black in them do not count, nor do those without any noise, which something has cut off
-/// or filled in. `None` where too few count.
+/// Standard deviation of ln radiance from pixel to pixel. Blocks are convolved with the difference of two Laplacians,
+/// which leaves nothing of an even or sloped patch (Immerkær 1996, Fast noise variance estimation, eq. 2), and one of
+/// the plainest speaks for the image. Blocks with black in them do not count, nor do those without any noise, which
+/// something has cut off or filled in. `None` where too few count.
 pub(super) fn noise(image: &Rgb) -> Option<f32> {
     let (columns, rows) = (image.width / BLOCK, image.height / BLOCK);
     let blocks = (0..columns * rows).filter_map(|block| {

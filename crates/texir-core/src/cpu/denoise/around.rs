@@ -1,5 +1,5 @@
-//! The two passes of the denoiser that look far: cell by cell, what is around a cell laid out once for all its points, and several of
-//! it taken at once.
+//! The two passes of the denoiser that look far: cell by cell, what is around a cell laid out once for all its points,
+//! and several of it taken at once.
 
 use glam::Vec3A;
 use pulp::{Arch, NullaryFnOnce};
@@ -13,8 +13,8 @@ use crate::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
 use crate::progress::Progress;
 use crate::real::Real;
 
-/// What is found at a point by what is `TOLD` of the points within [`RADIUS`]. Its methods at a point have to be inlined, for the
-/// instructions of [`each`].
+/// What is found at a point by what is `TOLD` of the points within [`RADIUS`]. Its methods at a point have to be
+/// inlined, for the instructions of [`each`].
 pub trait Pass<R: Real, const TOLD: usize>: Sync {
     /// What is known of a point and summed over those around it.
     type Sums;
@@ -24,8 +24,8 @@ pub trait Pass<R: Real, const TOLD: usize>: Sync {
     fn told(&self, j: usize) -> [R; TOLD];
     /// Nothing summed yet at point `i`.
     fn start(&self, i: usize) -> Self::Sums;
-    /// Adds several points: their offsets in shares of the radius, 1 less the square of these (how near they are; 0 for those that have
-    /// no say), and what is told of them.
+    /// Adds several points: their offsets in shares of the radius, 1 less the square of these (how near they are; 0 for
+    /// those that have no say), and what is told of them.
     fn add(sums: &mut Self::Sums, at: [Lanes<R>; 3], near: Lanes<R>, told: &[Lanes<R>; TOLD]);
     /// What is found at point `i`.
     fn found(&self, i: usize, sums: Self::Sums) -> Self::Found;
@@ -73,9 +73,9 @@ fn near(own: &[Entry], radius: f32) -> impl Fn(&&Entry) -> bool {
     }
 }
 
-/// What is around a cell, in whole lanes, and how it lies to one of the cell's points. A point's lane is its own, and those of a lane
-/// are in the order of the columns, so that sums come out alike whatever else is around. Where lanes have no more points, normals
-/// are 0, and none lies near.
+/// What is around a cell, in whole lanes, and how it lies to one of the cell's points. A point's lane is its own, and
+/// those of a lane are in the order of the columns, so that sums come out alike whatever else is around. Where lanes
+/// have no more points, normals are 0, and none lies near.
 struct Around<R, const TOLD: usize> {
     /// Which cell.
     cell: Option<u32>,
@@ -102,7 +102,8 @@ impl<R: Real, const TOLD: usize> Around<R, TOLD> {
         }
     }
 
-    /// Lays out what is around a cell: `tell` gives the lane of a point, whether it is apart, and what a pass is told of it.
+    /// Lays out what is around a cell: `tell` gives the lane of a point, whether it is apart, and what a pass is told
+    /// of it.
     fn lay_out<'a>(
         &mut self,
         cell: u32,

@@ -1,12 +1,12 @@
 //! Albedo as one sparse, robust least-squares problem over all views, for given roughness.
 //!
-//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's factor and
-//! E_p = Σ w_t E_t; both sides are albedos. A metal has no diffuse part, and its albedo is F0: with S = F0 P + Q, the row is
-//! Σ_t w_t (π P/E_p) a_t = (I − Q) π/E_p, of the same unit, so that misfits compare. A row's weight is
-//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Neighbours in a
-//! segment are drawn together by a Cauchy loss as well, so that edges survive, and every texel weakly to its segment's
-//! mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs (iteratively
-//! re-weighted least squares).
+//! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's
+//! factor and E_p = Σ w_t E_t; both sides are albedos. A metal has no diffuse part, and its albedo is F0: with
+//! S = F0 P + Q, the row is Σ_t w_t (π P/E_p) a_t = (I − Q) π/E_p, of the same unit, so that misfits compare. A row's weight is
+//! that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²), over (σ/σ_0)². Neighbours
+//! in a segment are drawn together by a Cauchy loss as well, so that edges survive, and every texel weakly to its
+//! segment's mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs
+//! (iteratively re-weighted least squares).
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
@@ -92,7 +92,8 @@ impl<'a> AlbedoProblem<'a> {
         problem
     }
 
-    /// What the views say without any solving: the mean over each texel's pixels of I π/E, 0 to 1; segment means elsewhere.
+    /// What the views say without any solving: the mean over each texel's pixels of I π/E, 0 to 1; segment means
+    /// elsewhere.
     pub fn start(&self) -> Vec<Vec3A> {
         let apparent = |p: usize| (self.seen.radiance[p] * self.per_irradiance[p]).clamp(Vec3A::ZERO, Vec3A::ONE);
         // The sum of the weights comes last.
@@ -180,7 +181,8 @@ impl<'a> AlbedoProblem<'a> {
         seen.all(|metal| metal == first).then_some(first)
     }
 
-    /// What a texel's albedo is weighted with in the rows: E, or 1 for metal, whose reflection differs from pixel to pixel.
+    /// What a texel's albedo is weighted with in the rows: E, or 1 for metal, whose reflection differs from pixel to
+    /// pixel.
     pub fn strength(&self, texel: usize) -> Vec3A {
         if self.metal.get(texel) == Some(&true) { Vec3A::ONE } else { self.irradiance[texel] }
     }
@@ -197,7 +199,8 @@ impl<'a> AlbedoProblem<'a> {
         self.seen.rows.row(pixel).iter().map(of_share).sum()
     }
 
-    /// What all pixels show of an albedo, whatever roughness it is sought for: [`AlbedoProblem::solve`] goes on from that.
+    /// What all pixels show of an albedo, whatever roughness it is sought for: [`AlbedoProblem::solve`] goes on from
+    /// that.
     pub fn shown(&self, albedo: &[Vec3A]) -> Vec<Vec3A> {
         (0..self.seen.len()).into_par_iter().with_min_len(BLOCK).map(|p| self.shows(albedo, p)).collect()
     }
@@ -219,8 +222,8 @@ impl<'a> AlbedoProblem<'a> {
         self.seen.radiance.par_iter().zip(&self.per_irradiance).map(noise).collect()
     }
 
-    /// [`AlbedoProblem::noise`] where roughness is known: what is taken off a dielectric's pixel for a highlight may be wrong
-    /// by a share of itself.
+    /// [`AlbedoProblem::noise`] where roughness is known: what is taken off a dielectric's pixel for a highlight may be
+    /// wrong by a share of itself.
     pub fn noise_at(&self, roughness: &Roughness<'_>) -> Vec<f32> {
         let share = self.settings.specular_noise;
         let mut noise = self.noise(self.settings.image_noise);
@@ -233,8 +236,8 @@ impl<'a> AlbedoProblem<'a> {
         noise
     }
 
-    /// Improves `albedo` at a known roughness of every texel by `rounds` runs of the solver. A list that is given away is not kept
-    /// in memory meanwhile.
+    /// Improves `albedo` at a known roughness of every texel by `rounds` runs of the solver. A list that is given away
+    /// is not kept in memory meanwhile.
     pub fn solve_at(&self, albedo: &mut [Vec3A], roughness: impl AsRef<[f32]>, rounds: u32) {
         let of_texels = Roughness::Texels(roughness.as_ref());
         let (target, sigma) = (self.target(&of_texels), self.noise_at(&of_texels));
@@ -243,7 +246,8 @@ impl<'a> AlbedoProblem<'a> {
         self.solve((albedo, &mut shown), &target, &sigma, rounds, self.settings.iterations);
     }
 
-    /// Improves `albedo`, and what is `shown` of it, for the given target by `rounds` runs of `iterations` steps of conjugate gradients.
+    /// Improves `albedo`, and what is `shown` of it, for the given target by `rounds` runs of `iterations` steps of
+    /// conjugate gradients.
     pub fn solve(
         &self,
         (albedo, shown): (&mut [Vec3A], &mut [Vec3A]),
@@ -267,11 +271,29 @@ impl<'a> AlbedoProblem<'a> {
         }
     }
 
-    /// λ/(1 + |Δa|²/s²) to the right and to the lower neighbour; 0 across segments.
+    /// λ/(1 + |Δa|²/s²) to the right and to the lower neighbour; 0 across segments. Edges are those of albedo without
+    /// specks: a texel that differs from all around it is noise until pixels say otherwise.
     fn edge_weights(&self, albedo: &[Vec3A]) -> Vec<[f32; 2]> {
-        let smoothness = self.settings.smoothness;
-        let of_texel = |t: usize| self.steps(albedo, t).map(|step| step.map_or(0.0, |step| smoothness / (1.0 + step)));
+        let (smoothness, albedo) = (self.settings.smoothness, self.without_specks(albedo));
+        let of_texel = |t: usize| self.steps(&albedo, t).map(|step| step.map_or(0.0, |step| smoothness / (1.0 + step)));
         (0..albedo.len()).into_par_iter().map(of_texel).collect()
+    }
+
+    /// The median of each texel and the four beside it, which keeps edges, and lines of a texel's width. At the rim of
+    /// a segment the neighbour of the other side counts twice.
+    fn without_specks(&self, albedo: &[Vec3A]) -> Vec<Vec3A> {
+        let (segment, beside) = (self.segment.0, &self.adjacency.beside);
+        let of_texel = |t: usize| {
+            let [left, right, up, down] =
+                beside[t].map(|n| (n != NONE && segment[n as usize] == segment[t]).then(|| albedo[n as usize]));
+            let pair = |a: Option<Vec3A>, b: Option<Vec3A>| Some([a.or(b)?, b.or(a)?]);
+            let (along, across) = (pair(left, right), pair(up, down));
+            match [along.or(across), across.or(along)] {
+                [Some(along), Some(across)] => median_of_five(albedo[t], along, across),
+                _ => albedo[t],
+            }
+        };
+        (0..albedo.len()).into_par_iter().with_min_len(BLOCK).map(of_texel).collect()
     }
 
     /// |Δa|²/s² to the right and to the lower neighbour; `None` across segments.
@@ -285,8 +307,8 @@ impl<'a> AlbedoProblem<'a> {
         })
     }
 
-    /// How much the albedo of each segment varies: the mean of ln(1 + |Δa|²/s²), the loss of the smoothness prior, over the pairs of
-    /// neighbours that both `count`; 0 without any.
+    /// How much the albedo of each segment varies: the mean of ln(1 + |Δa|²/s²), the loss of the smoothness prior, over
+    /// the pairs of neighbours that both `count`; 0 without any.
     pub fn variation(&self, albedo: &[Vec3A], count: &[bool]) -> Vec<f64> {
         let counts = |t: u32| t != NONE && count[t as usize];
         let of_texel = |t: usize| {
@@ -342,7 +364,8 @@ impl System<'_> {
         (out, product)
     }
 
-    /// What is left at `x`, of which this is `shown`, and the diagonal's inverse: both by going through the pixels once.
+    /// What is left at `x`, of which this is `shown`, and the diagonal's inverse: both by going through the pixels
+    /// once.
     fn left(&self, x: &[Vec3A], shown: &[Vec3A]) -> Vec<Left> {
         let p = self.problem;
         let means = p.segment_means(|t| p.seen.is_seen[t].then(|| x[t]));
@@ -383,8 +406,9 @@ impl System<'_> {
     }
 }
 
-/// Jacobi-preconditioned conjugate gradients, the three channels side by side, from `x` on, of which this is `shown`. What a step does to all texels takes
-/// longer than what it does to the pixels, so that texels are gone through three times a step, not more.
+/// Jacobi-preconditioned conjugate gradients, the three channels side by side, from `x` on, of which this is `shown`.
+/// What a step does to all texels takes longer than what it does to the pixels, so that texels are gone through three
+/// times a step, not more.
 fn conjugate_gradients(system: &System<'_>, (x, shown): (&mut [Vec3A], &[Vec3A]), iterations: u32) {
     let mut left = system.left(x, shown);
     let mut direction: Vec<Vec3A> = left.par_iter().map(Left::preconditioned).collect();
@@ -402,6 +426,14 @@ fn conjugate_gradients(system: &System<'_>, (x, shown): (&mut [Vec3A], &[Vec3A])
         rho = next;
         (&mut direction, &left).into_par_iter().for_each(|(d, of)| *d = of.preconditioned() + turn * *d);
     }
+}
+
+/// The median of a, b, c, d and e, per channel.
+fn median_of_five(a: Vec3A, [b, c]: [Vec3A; 2], [d, e]: [Vec3A; 2]) -> Vec3A {
+    // What is neither below both pairs' smaller ones nor above both their larger ones, between those.
+    let low = b.min(c).max(d.min(e));
+    let high = b.max(c).min(d.max(e));
+    low.min(high).max(a.min(low.max(high)))
 }
 
 /// The sum over the items, per channel, block by block in a fixed order; `of` may change them on the way.

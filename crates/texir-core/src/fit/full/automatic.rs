@@ -46,8 +46,8 @@ impl Region {
     }
 }
 
-/// The class of every texel that is `seen`, apart from those of small regions. `surface` tells flat surfaces apart, `colours` what
-/// they are painted in; `texel` is the edge of a typical texel, metres.
+/// The class of every texel that is `seen`, apart from those of small regions. `surface` tells flat surfaces apart,
+/// `colours` what they are painted in; `texel` is the edge of a typical texel, metres.
 pub fn classes(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,

@@ -1,7 +1,8 @@
-//! Sums over the pixels that see a texel, without the transpose of their footprints, which would take as much memory as these.
+//! Sums over the pixels that see a texel, without the transpose of their footprints, which would take as much memory as
+//! these.
 //!
-//! The texels are cut into bands, and of each band it is known which pixels see any of it. A band goes through these and
-//! adds to its own texels: no two threads write to one texel, and each sum runs in the order of the pixels.
+//! The texels are cut into bands, and of each band it is known which pixels see any of it. A band goes through these
+//! and adds to its own texels: no two threads write to one texel, and each sum runs in the order of the pixels.
 
 use rayon::prelude::*;
 
@@ -35,7 +36,8 @@ impl Bands {
         Self { texels, pixels }
     }
 
-    /// For every texel, from `zero` on, what `add` makes of the shares that pixels see of it and of their pixels' values.
+    /// For every texel, from `zero` on, what `add` makes of the shares that pixels see of it and of their pixels'
+    /// values.
     pub fn sum<T: Clone + Send + Sync, V>(
         &self,
         rows: &Rows<Share>,

@@ -1,5 +1,6 @@
-//! Which pixels share their light samples. A lobe blurs what it reflects, so that over a flat surface the specular radiance
-//! changes slowly from one pixel to the next: cost follows the angle that a capture covers, not the size of its images.
+//! Which pixels share their light samples. A lobe blurs what it reflects, so that over a flat surface the specular
+//! radiance changes slowly from one pixel to the next: cost follows the angle that a capture covers, not the size of
+//! its images.
 
 use glam::Vec3;
 
@@ -36,8 +37,8 @@ impl Patch {
         Self { mixed: points.iter().any(|point| !first.like(&at(point))), ..first }
     }
 
-    /// Whether both are parts of one flat surface of one class. Pixels across an edge are like each other only: beyond it may
-    /// lie what reflects a window that the surface does not.
+    /// Whether both are parts of one flat surface of one class. Pixels across an edge are like each other only: beyond
+    /// it may lie what reflects a window that the surface does not.
     pub fn like(&self, other: &Self) -> bool {
         let apart = other.position - self.position;
         self.mixed == other.mixed
@@ -51,8 +52,8 @@ impl Patch {
 pub struct Blocks {
     /// The block of each pixel.
     pub of: Vec<u32>,
-    /// Per block, the pixels (indices into the image) that its four rays' points are taken from; point k is stratum k of
-    /// its pixel.
+    /// Per block, the pixels (indices into the image) that its four rays' points are taken from; point k is stratum k
+    /// of its pixel.
     pub corners: Vec<[usize; STRATA]>,
     /// What the first pixel of each block sees.
     pub patches: Vec<Patch>,
@@ -73,7 +74,8 @@ impl Blocks {
     }
 }
 
-/// Gathers those of the `pixels` (indices into an image, ascending) that lie in one of its `squares` and see a like patch.
+/// Gathers those of the `pixels` (indices into an image, ascending) that lie in one of its `squares` and see a like
+/// patch.
 pub fn share(pixels: &[usize], patches: &[Patch], squares: Squares) -> Blocks {
     let mut order: Vec<usize> = (0..pixels.len()).collect();
     order.sort_by_key(|&i| squares.of(pixels[i]));

@@ -1,20 +1,20 @@
 //! Where semantic classes end on a flat surface.
 //!
-//! Segmentations end some pixels beside the edge that they mean, in most views on the same side of it: the wall along a window
-//! is voted to be window, which nothing else on the wall is. Labels are therefore believed some way inside of their borders only.
-//! From there they grow over what has the same colour.
+//! Segmentations end some pixels beside the edge that they mean, in most views on the same side of it: the wall along a
+//! window is voted to be window, which nothing else on the wall is. Labels are therefore believed some way inside of
+//! their borders only. From there they grow over what has the same colour.
 
 use std::collections::VecDeque;
 
 use super::colours::Colours;
 use crate::fit::adjacency::Adjacency;
 
-/// How far from a border labels may be wrong, metres: two pixels of a panorama of 256 columns are a twentieth of the distance, and
-/// rooms are some metres wide.
+/// How far from a border labels may be wrong, metres: two pixels of a panorama of 256 columns are a twentieth of the
+/// distance, and rooms are some metres wide.
 const UNSURE: f32 = 0.3;
 
-/// The labels with borders moved to where the colour changes on the same flat `surface`. What is nowhere reached keeps its
-/// label: a picture on a wall, a thing of its own surface. `texel` is the edge of a typical texel, metres.
+/// The labels with borders moved to where the colour changes on the same flat `surface`. What is nowhere reached keeps
+/// its label: a picture on a wall, a thing of its own surface. `texel` is the edge of a typical texel, metres.
 pub fn settle(
     label: Vec<Option<u16>>,
     adjacency: &Adjacency,

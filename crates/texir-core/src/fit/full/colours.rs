@@ -1,5 +1,5 @@
-//! The few colours that a flat surface is painted in: of a rug on a floor, but neither of its pattern nor of the shine of a
-//! window on it. Colour is that of the HDR texture under its irradiance.
+//! The few colours that a flat surface is painted in: of a rug on a floor, but neither of its pattern nor of the shine
+//! of a window on it. Colour is that of the HDR texture under its irradiance.
 
 use glam::Vec3A;
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! Lines at equal distances among the rows of a chart.
 //!
-//! The mean contrast of the rows is averaged over every period and phase, and those lines are believed that stand out of the rest by
-//! far more than chance brings about.
+//! The mean contrast of the rows is averaged over every period and phase, and those lines are believed that stand out
+//! of the rest by far more than chance brings about.
 
 use rayon::prelude::*;
 
@@ -15,8 +15,8 @@ const CLOSEST: f32 = 5.0;
 const LEAST_LINES: f32 = 3.5;
 /// Phases that are tried, per row; periods are so close that the last line is as exact.
 const STEPS: f32 = 4.0;
-/// How many standard errors their mean contrast must be, by what the rows between them have. Of thousands of periods and phases, the
-/// best has four to six by chance.
+/// How many standard errors their mean contrast must be, by what the rows between them have. Of thousands of periods
+/// and phases, the best has four to six by chance.
 const LEAST_EVIDENCE: f32 = 6.0;
 /// The mean contrast that lines must have, in ln a,
 const LEAST_CONTRAST: f32 = 0.05;
@@ -77,7 +77,8 @@ fn more(a: [Option<StandsOut>; 2], b: [Option<StandsOut>; 2]) -> [Option<StandsO
     })
 }
 
-/// How dark, on average, the rows of a chart are beside what is around them, in ln a, times how many of their texels say so; and these.
+/// How dark, on average, the rows of a chart are beside what is around them, in ln a, times how many of their texels
+/// say so; and these.
 #[derive(Clone)]
 pub struct Profile(Vec<[f32; 2]>);
 
@@ -144,7 +145,8 @@ impl Profile {
         believed.then(|| (evidence, self.as_wide_as_seen(comb)))
     }
 
-    /// The darker and the brighter lines that stand out most, of all periods and phases: 16 R² ln (R / 18) steps for R rows.
+    /// The darker and the brighter lines that stand out most, of all periods and phases: 16 R² ln (R / 18) steps for R
+    /// rows.
     fn best(&self, progress: &dyn Progress) -> Result<[Option<StandsOut>; 2]> {
         let rows = self.0.len() as f32;
         let next = move |period: &f32| Some(period + period / (STEPS * rows));

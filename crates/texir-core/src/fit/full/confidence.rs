@@ -1,7 +1,8 @@
 //! How sure full mode is of the roughness of each texel.
 //!
-//! What the pixels of a texel's block say, and those of its segment, are likelihoods of roughness ([`Tally::ln_likelihood`]). With
-//! every roughness as likely beforehand, that gives how far the truth may be from what the texel got.
+//! What the pixels of a texel's block say, and those of its segment, are likelihoods of roughness
+//! ([`Tally::ln_likelihood`]). With every roughness as likely beforehand, that gives how far the truth may be from what
+//! the texel got.
 
 use std::collections::BTreeMap;
 
@@ -21,9 +22,10 @@ struct Moments {
     square: f32,
 }
 
-/// The confidence in `roughness`, of every texel: 1 where nothing else explains what is seen, 0 where the root mean square of
-/// its distance from the truth is expected to be that of a roughness drawn by chance, √(1/12), or more. In between it falls with
-/// that distance. `blocks` is what [`Surface::blocks`] holds, `segments` what the pixels of each segment say.
+/// The confidence in `roughness`, of every texel: 1 where nothing else explains what is seen, 0 where the root mean
+/// square of its distance from the truth is expected to be that of a roughness drawn by chance, √(1/12), or more. In
+/// between it falls with that distance. `blocks` is what [`Surface::blocks`] holds, `segments` what the pixels of each
+/// segment say.
 pub fn confidence(
     surface: &Surface<'_>,
     blocks: &[(Place, Halves)],
@@ -74,8 +76,8 @@ mod tests {
     const COLUMNS: usize = 24;
     const SEGMENTS: u32 = 4;
 
-    /// Rows of texels, each a segment, of which the right half is not seen; `depth` says how clearly the pixels of a segment
-    /// ask for 0.3.
+    /// Rows of texels, each a segment, of which the right half is not seen; `depth` says how clearly the pixels of a
+    /// segment ask for 0.3.
     fn rows(depth: [Option<f32>; SEGMENTS as usize], roughness: f32) -> Vec<f32> {
         let texels: Vec<u32> = (0..SEGMENTS * COLUMNS as u32).collect();
         let segment: Vec<u32> = texels.iter().map(|t| t / COLUMNS as u32).collect();

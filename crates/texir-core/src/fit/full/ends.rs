@@ -1,8 +1,9 @@
 //! The ends of boards, and of tiles and bricks laid in bond: lines across the strips between regular lines.
 //!
-//! Boards of one floor have one length, and every strip of them begins where it likes. So one length is sought for all strips of a
-//! chart, by the likelihood of what they show: at its ends, a strip should be about as dark as the lines beside it are, and
-//! nowhere tells as little as where no view shows it. Each strip shifts the length to where it explains it best.
+//! Boards of one floor have one length, and every strip of them begins where it likes. So one length is sought for all
+//! strips of a chart, by the likelihood of what they show: at its ends, a strip should be about as dark as the lines
+//! beside it are, and nowhere tells as little as where no view shows it. Each strip shifts the length to where it
+//! explains it best.
 
 use rayon::prelude::*;
 
@@ -16,8 +17,8 @@ const SEARCHED: f32 = 2.0;
 const FOUND: f32 = 4.0;
 /// Columns among which the length is sought: of a wider chart, several count as one at first.
 const COLUMNS: usize = 2048;
-/// An end is expected to have this share of the contrast that the lines beside the strips have on average: it lies less often at the middle
-/// of a texel.
+/// An end is expected to have this share of the contrast that the lines beside the strips have on average: it lies less
+/// often at the middle of a texel.
 const CONTRAST: f32 = 0.7;
 /// The most that a column says for or against an end, in logarithms of likelihoods: noise has tails.
 const MOST: f32 = 8.0;
@@ -32,8 +33,8 @@ const STANDS_OUT: f32 = 4.0;
 /// The share of a chart that the longest boards may have: of longer ones, few strips have two ends.
 const LONGEST: f32 = 0.5;
 
-/// How much darker than what is beside them, along their strip, the columns of a strip are, in ln a; `None` where too little is seen.
-/// Brighter, where lines are.
+/// How much darker than what is beside them, along their strip, the columns of a strip are, in ln a; `None` where too
+/// little is seen. Brighter, where lines are.
 #[derive(Clone)]
 pub struct Strip(Vec<Option<f32>>);
 
@@ -58,8 +59,8 @@ impl Strip {
         self.0.iter().any(Option::is_some)
     }
 
-    /// ln of the likelihood that each column is an end over that it is none, where ends have a `contrast`. Noise is told by the median
-    /// absolute deviation.
+    /// ln of the likelihood that each column is an end over that it is none, where ends have a `contrast`. Noise is
+    /// told by the median absolute deviation.
     fn says(&self, contrast: f32) -> Vec<f32> {
         let mut seen: Vec<f32> = self.0.iter().flatten().copied().collect();
         let middle = median(&mut seen).unwrap_or(0.0);
@@ -79,9 +80,9 @@ pub struct Ends {
 }
 
 impl Ends {
-    /// Those of one length, at least `shortest` columns, that `strips` show, if their contrast and width are those of the lines between
-    /// the strips; none if no length stands out of the others. For S strips of C columns, 2,048 at most, that is 4 C² S steps for
-    /// every factor of e between the lengths.
+    /// Those of one length, at least `shortest` columns, that `strips` show, if their contrast and width are those of
+    /// the lines between the strips; none if no length stands out of the others. For S strips of C columns, 2,048 at
+    /// most, that is 4 C² S steps for every factor of e between the lengths.
     pub fn find(
         strips: &[Strip],
         shortest: f32,
@@ -186,7 +187,8 @@ mod tests {
         hash2(a as u32, b as u32) as f32 / u32::MAX as f32
     }
 
-    /// Strips of which the ends that `is_end` tells are darker under noise of ±0.04. Of every fourth strip, the second half is not seen.
+    /// Strips of which the ends that `is_end` tells are darker under noise of ±0.04. Of every fourth strip, the second
+    /// half is not seen.
     fn strips(is_end: impl Fn(usize, usize) -> bool) -> Vec<Strip> {
         let column = |strip: usize, column: usize| {
             let dark = if is_end(strip, column) { CONTRAST } else { 0.0 };

@@ -1,7 +1,7 @@
-//! What no view sees: floor under a sofa, wall behind a shelf, the back of a door. Labels come from what is seen of the same flat
-//! surface, or of the other side of what is thin, and
-//! materials from what is seen of the same segment, so that it can be shown once the sofa is moved. What is seen so badly that it
-//! comes out as no material could be is treated alike.
+//! What no view sees: floor under a sofa, wall behind a shelf, the back of a door. Labels come from what is seen of the
+//! same flat surface, or of the other side of what is thin, and materials from what is seen of the same segment, so
+//! that it can be shown once the sofa is moved. What is seen so badly that it comes out as no material could be is
+//! treated alike.
 
 use std::collections::HashMap;
 
@@ -46,7 +46,8 @@ pub fn flat_surfaces(atlas: &Atlas, adjacency: &Adjacency) -> Vec<u32> {
     connected(atlas.points.len(), adjacency, &[], |a, b| normal(a).dot(normal(b)) > FLAT).0
 }
 
-/// The texels of thin things, the leaves of doors and the boards of shelves, each with the one on the other side, ascending.
+/// The texels of thin things, the leaves of doors and the boards of shelves, each with the one on the other side,
+/// ascending.
 pub fn backs(scene: &Scene, atlas: &Atlas) -> Vec<[u32; 2]> {
     let index = TexelIndex::new(atlas);
     let front = |t: usize| {
@@ -64,8 +65,8 @@ pub fn backs(scene: &Scene, atlas: &Atlas) -> Vec<[u32; 2]> {
     (0..atlas.points.len()).into_par_iter().filter_map(of).collect()
 }
 
-/// Labels hidden texels as most of the labelled ones around them on their `surface` are. What has too few of them around
-/// stays unlabelled. `texel` is the edge of a typical texel, metres.
+/// Labels hidden texels as most of the labelled ones around them on their `surface` are. What has too few of them
+/// around stays unlabelled. `texel` is the edge of a typical texel, metres.
 pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) -> Vec<Option<u16>> {
     let mut labels = known.to_vec();
     let labelled: Vec<u32> = (0..).zip(known).filter_map(|(t, label)| label.map(|_| t)).collect();
@@ -104,9 +105,9 @@ pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) 
     labels
 }
 
-/// Texels whose albedo no surface has, black as soot or whiter than snow in a channel: what is left there is the error of
-/// the one pixel that sees them. Where much of a segment is like that, it is another matter, and they stay. `segment` has a number per
-/// texel, and their count.
+/// Texels whose albedo no surface has, black as soot or whiter than snow in a channel: what is left there is the error
+/// of the one pixel that sees them. Where much of a segment is like that, it is another matter, and they stay.
+/// `segment` has a number per texel, and their count.
 pub fn outliers(albedo: &[Vec3A], segment: (&[u32], usize)) -> Vec<bool> {
     let outlier = |a: &Vec3A| a.min_element() < DARKEST || a.max_element() > BRIGHTEST;
     let mut counts = vec![[0u32; 2]; segment.1];
@@ -118,9 +119,9 @@ pub fn outliers(albedo: &[Vec3A], segment: (&[u32], usize)) -> Vec<bool> {
     albedo.iter().zip(segment.0).map(|(a, &s)| outlier(a) && few(s)).collect()
 }
 
-/// Gives light sources that make up much of their segment middle grey: what their light hides nobody knows, and what is around them (a
-/// window's frame, whatever has the lamp's class elsewhere) is not made of it. Fewer are spots of the surface that they are on.
-/// `segment` has a number per texel, and their count.
+/// Gives light sources that make up much of their segment middle grey: what their light hides nobody knows, and what is
+/// around them (a window's frame, whatever has the lamp's class elsewhere) is not made of it. Fewer are spots of the
+/// surface that they are on. `segment` has a number per texel, and their count.
 pub fn grey_sources(segment: (&[u32], usize), is_source: impl Fn(usize) -> bool, albedo: &mut [Vec3A]) {
     let mut counts = vec![[0u32; 2]; segment.1];
     for (t, &s) in segment.0.iter().enumerate() {
@@ -211,7 +212,8 @@ mod tests {
         assert_eq!(label(&atlas, &surface, &nothing, TEXEL)[0], None);
     }
 
-    /// A block from z = 0 down, of this thickness, of which there are top and bottom; `flipped` turns the bottom inside.
+    /// A block from z = 0 down, of this thickness, of which there are top and bottom; `flipped` turns the bottom
+    /// inside.
     fn slab(thickness: f32, flipped: bool) -> Scene {
         let quad = |z: f32, up: bool, left: f32| {
             let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];

@@ -1,12 +1,12 @@
 //! From evidence per pixel to roughness per texel: shrinkage along a hierarchy of ever smaller groups.
 //!
-//! Each group takes the roughness that explains its n pixels best, drawn to its parents': the minimum over r of
-//! ln(mean cost(r)) + Σ (pull + n_parent/n) · (2 (r − r_parent))², for a segment with what its albedo says besides
-//! ([`super::variation`]). The logarithm makes it the likelihood of residuals whose size is not known beforehand: what is
-//! explained badly at any roughness says little about it. It does not grow with the number of pixels; what grows with that is
-//! how little a parent counts beside it, unless its pull is for good: what goes wrong here (irradiance, the BRDF model) is
-//! systematic and does not average out. Distances are those of r itself, in which steps look alike: by ln r, a mirror would
-//! be further from what lies between it and chalk than chalk is.
+//! Each group takes the roughness that explains its n pixels best, drawn to its parents': the minimum over r of ln(mean
+//! cost(r)) + Σ (pull + n_parent/n) · (2 (r − r_parent))², for a segment with what its albedo says besides
+//! ([`super::variation`]). The logarithm makes it the likelihood of residuals whose size is not known beforehand: what
+//! is explained badly at any roughness says little about it. It does not grow with the number of pixels; what grows
+//! with that is how little a parent counts beside it, unless its pull is for good: what goes wrong here (irradiance,
+//! the BRDF model) is systematic and does not average out. Distances are those of r itself, in which steps look alike:
+//! by ln r, a mirror would be further from what lies between it and chalk than chalk is.
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -40,8 +40,8 @@ impl Parent {
     }
 }
 
-/// Roughness of every group, by what its pixels say, each drawn to its parents. A group without evidence takes the mean of its parents
-/// by the pixels that they count as, or else by their pulls.
+/// Roughness of every group, by what its pixels say, each drawn to its parents. A group without evidence takes the mean
+/// of its parents by the pixels that they count as, or else by their pulls.
 pub fn settle<const N: usize>(groups: &[Tally], parents: &[[Parent; N]]) -> Vec<f32> {
     groups
         .par_iter()
@@ -73,8 +73,8 @@ fn mean(parents: &[Parent]) -> f32 {
     if all > 0.0 { sum / all } else { parents.iter().map(|p| p.roughness).sum::<f32>() / parents.len().max(1) as f32 }
 }
 
-/// Roughness of every segment: everything → class → class in a room → segment, which is drawn to what it is akin to besides. `tallies`
-/// are what the pixels of the segments say, `colours` their [`kin::colours`].
+/// Roughness of every segment: everything → class → class in a room → segment, which is drawn to what it is akin to
+/// besides. `tallies` are what the pixels of the segments say, `colours` their [`kin::colours`].
 pub fn of_segments(
     segments: &Segments,
     tallies: &[Tally],

@@ -1,9 +1,10 @@
 //! Joints: the lines between boards and tiles, whose albedo and finish are not those of what they divide.
 //!
-//! They are too thin for evidence of their own: few pixels see nothing else. But where they are is seen in albedo, as lines that
-//! stand out ([`super::lines`]): straight ones from wall to wall, or where a segment has none, shorter ones, or any. All dark lines of a segment, and all bright
-//! ones, are taken to have one roughness. It is scanned with everything else left as it is, albedo solved anew, and believed
-//! as far as the views agree that it explains their pixels better than the segment's.
+//! They are too thin for evidence of their own: few pixels see nothing else. But where they are is seen in albedo, as
+//! lines that stand out ([`super::lines`]): straight ones from wall to wall, or where a segment has none, shorter ones,
+//! or any. All dark lines of a segment, and all bright ones, are taken to have one roughness. It is scanned with
+//! everything else left as it is, albedo solved anew, and believed as far as the views agree that it explains their
+//! pixels better than the segment's.
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -137,8 +138,8 @@ impl Lines {
         rows.row(pixel).iter().map(of).sum()
     }
 
-    /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's. Where that
-    /// leaves too few of a segment's, all of them stay.
+    /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's.
+    /// Where that leaves too few of a segment's, all of them stay.
     pub fn without(&self, rows: &Rows<Share>, segment: &[u32]) -> Vec<u32> {
         /// The share of a segment's pixels that are enough.
         const ENOUGH: f32 = 0.25;
@@ -338,7 +339,8 @@ mod tests {
 
     #[test]
     fn what_pixels_see_of_regular_joints_is_not_their_surfaces() {
-        // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5, may be paint.
+        // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5,
+        // may be paint.
         let lines = Lines {
             covered: [false, true, false, true, false, true]
                 .map(|on| on.then_some(Covered::wholly(Line::Darker)))
@@ -347,7 +349,8 @@ mod tests {
         };
         let pixels = [(0, 0.5), (0, 0.1), (0, 0.0), (2, 0.3), (2, 0.4), (4, 0.9), (0, 0.3)];
         let rows = Rows::from_lists(pixels.map(|(surface, joint)| pixel(surface, joint)));
-        // The last shows an edge, and counts for nothing anyway. No pixel of segment 1 is without its joint, so that all stay.
+        // The last shows an edge, and counts for nothing anyway. No pixel of segment 1 is without its joint, so that
+        // all stay.
         let segment = [0, 0, 0, 1, 1, 2, NONE];
         assert_eq!(lines.without(&rows, &segment), [NONE, 0, 0, 1, 1, 2, NONE]);
     }

@@ -1,9 +1,10 @@
 //! What is to be expected of a segment whose own pixels say little: that it is like what it is akin to.
 //!
-//! What looks alike is of one material more often than what is called alike. The rod of a curtain is wood or metal, like the legs of
-//! tables and unlike the cloth that hangs from it; the frame of a bed is not its mattress. Every segment that knows its own
-//! roughness speaks for all others, the more the more they are alike in colour, class and room: kernel regression
-//! (Nadaraya, "On Estimating Regression", 1964; Watson, "Smooth Regression Analysis", 1964) of ln r.
+//! What looks alike is of one material more often than what is called alike. The rod of a curtain is wood or metal,
+//! like the legs of tables and unlike the cloth that hangs from it; the frame of a bed is not its mattress. Every
+//! segment that knows its own roughness speaks for all others, the more the more they are alike in colour, class and
+//! room: kernel regression (Nadaraya, "On Estimating Regression", 1964; Watson, "Smooth Regression Analysis", 1964) of
+//! ln r.
 
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
@@ -36,8 +37,9 @@ pub struct Known {
     pub believed: f32,
 }
 
-/// What every segment is drawn to: the roughness to be expected of it by that of the others, worth the pixels at which a segment is
-/// believed half, or less where there are only strangers; [`RoughnessSettings::start`] where nobody knows anything.
+/// What every segment is drawn to: the roughness to be expected of it by that of the others, worth the pixels at which
+/// a segment is believed half, or less where there are only strangers; [`RoughnessSettings::start`] where nobody knows
+/// anything.
 pub fn parents(segments: &[Known], settings: &RoughnessSettings) -> Vec<Parent> {
     let mut speak: Vec<(usize, &Known)> =
         segments.iter().enumerate().filter(|(_, known)| known.believed > 0.0).collect();
@@ -71,7 +73,8 @@ fn alike(a: &Known, b: &Known, settings: &KinSettings) -> f32 {
     called * looks
 }
 
-/// The logarithm of each segment's mean albedo, over the texels that are seen. `segment` has a number per texel, and their count.
+/// The logarithm of each segment's mean albedo, over the texels that are seen. `segment` has a number per texel, and
+/// their count.
 pub fn colours(segment: (&[u32], usize), albedo: &[Vec3A], is_seen: &[bool]) -> Vec<Option<Vec3A>> {
     let mut sums = vec![(DVec3::ZERO, 0_u32); segment.1];
     for ((s, a), _) in segment.0.iter().zip(albedo).zip(is_seen).filter(|(_, seen)| **seen) {

@@ -1,8 +1,8 @@
 //! Labels of texels, semantic classes or rooms, by the votes of the views' pixels.
 //!
-//! Every texel asks each view that sees it for the label of the pixel that shows it. Segmentations are wrong in other places
-//! in every view, but in regions rather than pixels: votes are therefore weighed nearly alike over the views, so that
-//! the nearest does not decide alone, and blurred over the surface.
+//! Every texel asks each view that sees it for the label of the pixel that shows it. Segmentations are wrong in other
+//! places in every view, but in regions rather than pixels: votes are therefore weighed nearly alike over the views, so
+//! that the nearest does not decide alone, and blurred over the surface.
 
 use std::collections::HashMap;
 
@@ -24,8 +24,8 @@ use crate::tbl::shown::{Shown, pixels_per_steradian};
 
 /// Surfaces seen at a smaller cosine have no vote: the pixel's neighbour may be metres away on them.
 const MIN_COSINE: f32 = 0.1;
-/// Exponent of a view's resolution (pixels per square metre of surface) in its vote: who is near sees edges best, but is
-/// mistaken as often as others.
+/// Exponent of a view's resolution (pixels per square metre of surface) in its vote: who is near sees edges best, but
+/// is mistaken as often as others.
 const SHARPNESS: f32 = 0.25;
 /// Votes are blurred by this standard deviation, metres: about two pixels' width of a panorama of 256 columns.
 const BLUR: f32 = 0.07;
@@ -33,12 +33,14 @@ const BLUR: f32 = 0.07;
 const VARIANCE_PER_ROUND: f32 = 0.4;
 /// Rounds at most, for their time; fine texels are blurred less far.
 const MAX_ROUNDS: f32 = 24.0;
-/// What has a smaller share of the votes than is usual on its flat surface is left to those around it: what one view catches
-/// through a gap under a sofa is as often the sofa's leg.
+/// What has a smaller share of the votes than is usual on its flat surface is left to those around it: what one view
+/// catches through a gap under a sofa is as often the sofa's leg.
 const SCARCE: f32 = 0.3;
-/// What votes on the other side of something thin count: seen at a grazing angle, a door's leaf is taken for the wall behind it.
+/// What votes on the other side of something thin count: seen at a grazing angle, a door's leaf is taken for the wall
+/// behind it.
 const OTHER_SIDE: f32 = 0.5;
-/// Semantic images of which a smaller share of the votes agrees are of something else: of other photos, or not of classes.
+/// Semantic images of which a smaller share of the votes agrees are of something else: of other photos, or not of
+/// classes.
 const AGREED: f32 = 0.7;
 /// Texels whose normals' cosine is less do not share votes: classes end at creases.
 const SAME_NORMAL: f32 = 0.9;
@@ -108,8 +110,8 @@ pub struct Witness {
     pub weight: f32,
 }
 
-/// The witness of every texel in a view, where the view sees it and `mask` does not exclude the pixel. Rays are only traced
-/// from texels whose pixel shows their surface: the others are not seen there anyway.
+/// The witness of every texel in a view, where the view sees it and `mask` does not exclude the pixel. Rays are only
+/// traced from texels whose pixel shows their surface: the others are not seen there anyway.
 pub fn witnesses(
     backend: &mut dyn Backend,
     atlas: &Atlas,
@@ -233,7 +235,8 @@ impl Votes {
         shared.into_iter().for_each(|(to, ballot)| votes[to as usize] = ballot);
     }
 
-    /// The label of every texel, each being part of a flat `surface`; `None` where there are no votes around, or hardly any.
+    /// The label of every texel, each being part of a flat `surface`; `None` where there are no votes around, or hardly
+    /// any.
     pub fn count(self, surface: &[u32]) -> Vec<Option<u16>> {
         let Self(votes) = self;
         if votes.is_empty() {

@@ -71,16 +71,18 @@ pub struct Paint<'a> {
     pub texel: f32,
 }
 
-/// Left and right, up and down: the sides of [`Adjacency::beside`], of which the first lie before a texel in the order of the atlas.
+/// Left and right, up and down: the sides of [`Adjacency::beside`], of which the first lie before a texel in the order
+/// of the atlas.
 pub(super) const AXES: [[usize; 2]; 2] = [[0, 1], [2, 3]];
 
 impl Paint<'_> {
-    /// Which seen texels lie on straight lines along the rows or the columns of the atlas: where the logarithm of albedo is not what it
-    /// is on either side, on average over the line as far as it is seen, and more so than beside. A texel at distance d along it
-    /// counts e^(−d/`reach`). None where texels are wider than lines may be: they show a line and what it divides as one.
+    /// Which seen texels lie on straight lines along the rows or the columns of the atlas: where the logarithm of
+    /// albedo is not what it is on either side, on average over the line as far as it is seen, and more so than beside.
+    /// A texel at distance d along it counts e^(−d/`reach`). None where texels are wider than lines may be: they show a
+    /// line and what it divides as one.
     pub fn straight(&self, course: &Straight, width: f32) -> Vec<Option<Line>> {
-        /// Where two paints meet, either is by half of their step beside the mean of both: all of the contrast is step. What is a
-        /// line by itself has a part of its own, the rest.
+        /// Where two paints meet, either is by half of their step beside the mean of both: all of the contrast is step.
+        /// What is a line by itself has a part of its own, the rest.
         const STEP: f32 = 0.75;
         if self.texel > width {
             return vec![None; self.ln.len()];
@@ -130,8 +132,8 @@ impl Paint<'_> {
         (next != NONE && self.segment[next as usize] == self.segment[t]).then_some(next as usize)
     }
 
-    /// By how much each texel is brighter than the mean of those some steps away on both sides, half of what these differ by, both in
-    /// ln a, and 1; 0 where one of the three is not seen.
+    /// By how much each texel is brighter than the mean of those some steps away on both sides, half of what these
+    /// differ by, both in ln a, and 1; 0 where one of the three is not seen.
     pub(super) fn contrast(&self, sides: [usize; 2], away: usize) -> Vec<[f32; 3]> {
         /// What differs by more is no paint, such as the rim of what stands there.
         const MOST: f32 = 0.3;
@@ -149,8 +151,8 @@ impl Paint<'_> {
         (0..self.ln.len()).into_par_iter().map(of_texel).collect()
     }
 
-    /// The means of `contrast` and of half steps before and behind each texel, weights falling by `keep` from one to the next; 0 where
-    /// too little is seen.
+    /// The means of `contrast` and of half steps before and behind each texel, weights falling by `keep` from one to
+    /// the next; 0 where too little is seen.
     fn followed(&self, contrast: &[[f32; 3]], [before, behind]: [usize; 2], keep: f32) -> [Vec<f32>; 2] {
         /// The least share of all weights,
         const SEEN: f32 = 0.3;
@@ -175,9 +177,9 @@ impl Paint<'_> {
         })
     }
 
-    /// Which seen texels lie on lines of any course, at most [`JointSettings::width`] wide and at least [`JointSettings::length`] long, by
-    /// closing and opening the logarithm of albedo within segments (top-hat transforms; Serra, "Image Analysis and
-    /// Mathematical Morphology", 1982).
+    /// Which seen texels lie on lines of any course, at most [`JointSettings::width`] wide and at least
+    /// [`JointSettings::length`] long, by closing and opening the logarithm of albedo within segments (top-hat
+    /// transforms; Serra, "Image Analysis and Mathematical Morphology", 1982).
     pub fn narrow(&self, settings: &JointSettings) -> Vec<Option<Line>> {
         let rounds = (0.5 * settings.width / self.texel).round().max(1.0) as usize;
         let spread = |values: Vec<f32>, pick: fn(f32, f32) -> f32| {
@@ -253,8 +255,9 @@ pub(super) mod tests {
         t % EDGES[0] % BOARD == 5
     }
 
-    /// A floor of boards, of which each is up to `uneven` brighter or darker, joints darker by `contrast` under noise of ±0.3, of which a
-    /// rug hides a part. Of the texels that are seen: the share of joints that is found, and the share of what is found that is one.
+    /// A floor of boards, of which each is up to `uneven` brighter or darker, joints darker by `contrast` under noise
+    /// of ±0.3, of which a rug hides a part. Of the texels that are seen: the share of joints that is found, and the
+    /// share of what is found that is one.
     fn found(uneven: f32, contrast: f32, find: impl Fn(&Paint<'_>) -> Vec<Option<Line>>) -> [f32; 2] {
         let [columns, rows] = EDGES;
         let random = |a: usize, b: u32| hash2(a as u32, b) as f32 / u32::MAX as f32 - 0.5;

@@ -1,10 +1,10 @@
 //! Roughness that varies within a segment: worn tracks, wet spots, a polished patch, a tiled wall among painted ones.
 //!
-//! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, every block has a share of
-//! each, by how likely its pixels and the blocks of its face make them. What is uncertain is thereby neither, a worn
-//! track stands out from its floor, and where one wall of a room is tiled, its blocks speak for each other. A second finish is
-//! believed as far as it explains what half of the views see where the other half asks for it: blocks that are free to take
-//! any value follow whatever else is wrong with their pixels, and that goes with the view.
+//! A segment has one finish, or two. It is cut into square blocks of the atlas; with two finishes, every block has a
+//! share of each, by how likely its pixels and the blocks of its face make them. What is uncertain is thereby neither,
+//! a worn track stands out from its floor, and where one wall of a room is tiled, its blocks speak for each other. A
+//! second finish is believed as far as it explains what half of the views see where the other half asks for it: blocks
+//! that are free to take any value follow whatever else is wrong with their pixels, and that goes with the view.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -75,8 +75,8 @@ impl Surface<'_> {
 }
 
 /// Roughness of every texel from what it is by its segment and colour. `whole` is that of each segment, `blocks` what
-/// [`Surface::blocks`] holds, and `plain` the same of the pixels that see no joints: they say what roughness finishes have, and all of
-/// them together where.
+/// [`Surface::blocks`] holds, and `plain` the same of the pixels that see no joints: they say what roughness finishes
+/// have, and all of them together where.
 pub fn refine(
     surface: &Surface<'_>,
     (blocks, plain): (&Blocks, &Blocks),
@@ -126,8 +126,8 @@ fn two_finishes((blocks, plain): (&Blocks, &Blocks), whole: &[f32], settings: &L
     blocks.iter().map(|(place, _)| *place).zip(rough.iter().map(of_block)).collect()
 }
 
-/// The two nodes, smoother first, that explain the blocks best: of all pairs, each block taking the better of the two, and
-/// from there by what their shares ask for.
+/// The two nodes, smoother first, that explain the blocks best: of all pairs, each block taking the better of the two,
+/// and from there by what their shares ask for.
 fn best_pair(own: &[Tally], neighbours: &Neighbours) -> [usize; 2] {
     /// Almost all pairs stay after the first.
     const ROUNDS: usize = 3;
@@ -156,8 +156,8 @@ fn finishes(tallies: &[Tally], rough: &[f64]) -> [Tally; 2] {
     })
 }
 
-/// By how much the logarithm of the mean cost falls, in each half of the views, by the finish that the other half finds where it
-/// differs from the segment's own; less for few pixels, and 0 for none.
+/// By how much the logarithm of the mean cost falls, in each half of the views, by the finish that the other half finds
+/// where it differs from the segment's own; less for few pixels, and 0 for none.
 fn gain(blocks: &Blocks, neighbours: &Neighbours, pair: [usize; 2], settings: &LocalSettings) -> f32 {
     let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
     for [mine, other] in [[0, 1], [1, 0]] {
@@ -207,10 +207,11 @@ impl Neighbours {
         }
     }
 
-    /// The share of the rougher finish of `pair` in each block, of which `tallies` say what pixels see: how likely it is by these, by
-    /// the share that its face has of it, and by the blocks beside it. The share of a face follows from its blocks', few pixels
-    /// being drawn to the segment's. (Expectation maximisation over a mixture of two, the field of the neighbours
-    /// by its mean; Celeux, Forbes and Peyrard, "EM procedures using mean field-like approximations", 2003.)
+    /// The share of the rougher finish of `pair` in each block, of which `tallies` say what pixels see: how likely it
+    /// is by these, by the share that its face has of it, and by the blocks beside it. The share of a face follows from
+    /// its blocks', few pixels being drawn to the segment's. (Expectation maximisation over a mixture of two, the field
+    /// of the neighbours by its mean; Celeux, Forbes and Peyrard, "EM procedures using mean field-like approximations",
+    /// 2003.)
     fn shares(&self, tallies: &[Tally], [smooth, rough]: [usize; 2]) -> Vec<f64> {
         /// Logarithm of the odds that a block beside, all of one finish, lends to that.
         const LENT: f64 = 1.0;

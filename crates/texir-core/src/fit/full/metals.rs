@@ -1,12 +1,14 @@
-//! Which segments are metal. A smooth metal mirrors its surroundings with up to twenty-five times a dielectric's strength and
-//! in its own colour, which no dielectric can; a rough one looks like any diffuse surface, and is not told from one.
+//! Which segments are metal. A smooth metal mirrors its surroundings with up to twenty-five times a dielectric's
+//! strength and in its own colour, which no dielectric can; a rough one looks like any diffuse surface, and is not told
+//! from one.
 
 use super::scan::Tally;
 use crate::fit::settings::MetallicSettings;
 use crate::specular_table::{NODES, node};
 
-/// The segments that metal explains better than a dielectric by `settings.gain`, at a roughness at which it can be told; of
-/// those with `pixels` or more. What the pixels of the segments say is given twice: as if they were dielectrics, and as if metal.
+/// The segments that metal explains better than a dielectric by `settings.gain`, at a roughness at which it can be
+/// told; of those with `pixels` or more. What the pixels of the segments say is given twice: as if they were
+/// dielectrics, and as if metal.
 pub fn find([dielectric, metal]: [&[Tally]; 2], pixels: f32, settings: &MetallicSettings) -> Vec<bool> {
     let least = |tally: &Tally| -> (f32, usize) {
         let misfit = tally.misfit();

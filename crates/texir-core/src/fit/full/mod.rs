@@ -1,39 +1,40 @@
-//! The fit in full mode: light samples drawn beforehand, albedo by robust least squares, roughness by a scan per segment.
+//! The fit in full mode: light samples drawn beforehand, albedo by robust least squares, roughness by a scan per
+//! segment.
 //!
-//! labels → observations → segments → scan (→ metals) → hierarchy → lines → colours, finishes → joints → albedo → what is hidden. No ray is
-//! traced after the observations. A first, coarse round tells what light surfaces send, of which irradiance and observations are
-//! made again.
+//! labels → observations → segments → scan (→ metals) → hierarchy → lines → colours, finishes → joints → albedo → what
+//! is hidden. No ray is traced after the observations. A first, coarse round tells what light surfaces send, of which
+//! irradiance and observations are made again.
 
-pub mod albedo;
-pub mod automatic;
-pub mod bands;
-pub mod blocks;
-pub mod borders;
-pub mod colours;
-pub mod comb;
-pub mod confidence;
-pub mod ends;
-pub mod hidden;
-pub mod hierarchy;
-pub mod joints;
-pub mod kin;
-pub mod labels;
-pub mod lines;
-pub mod local;
-pub mod metals;
-pub mod nodes;
-pub mod observations;
-pub mod own;
-pub mod palette;
+mod albedo;
+mod automatic;
+mod bands;
+mod blocks;
+mod borders;
+mod colours;
+mod comb;
+mod confidence;
+mod ends;
+mod hidden;
+mod hierarchy;
+mod joints;
+mod kin;
+mod labels;
+mod lines;
+mod local;
+mod metals;
+mod nodes;
+mod observations;
+mod own;
+mod palette;
 mod reflections;
-pub mod regular;
-pub mod rims;
-pub mod scan;
-pub mod segments;
-pub mod share;
-pub mod squares;
-pub mod sums;
-pub mod variation;
+mod regular;
+mod rims;
+mod scan;
+mod segments;
+mod share;
+mod squares;
+mod sums;
+mod variation;
 
 use std::f32::consts::PI;
 use std::iter::repeat_n;
@@ -171,7 +172,8 @@ fn recover(
     let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
     problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds);
 
-    // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by blurring.
+    // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by
+    // blurring.
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
         (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
@@ -215,8 +217,9 @@ fn apparent_albedo(ground: &Ground<'_>, irradiance: &[Vec3A]) -> Vec<Vec3A> {
     of_texels(&ground.tbl.radiance, ground.atlas).into_iter().zip(irradiance).map(of_texel).collect()
 }
 
-/// Irradiance by which what the images show stays what they show when the albedo that they ask for is `painted` otherwise, at the texels
-/// of which that `depends` on it: it takes what albedo gives up, even all of a black outlier's.
+/// Irradiance by which what the images show stays what they show when the albedo that they ask for is `painted`
+/// otherwise, at the texels of which that `depends` on it: it takes what albedo gives up, even all of a black
+/// outlier's.
 fn with_what_albedo_gives_up(
     irradiance: &[Vec3A],
     (albedo, painted): (&[Vec3A], &[Vec3A]),
@@ -241,8 +244,8 @@ struct Scanned {
     by_segment: Vec<f32>,
 }
 
-/// Scans under every model that comes into question, and keeps the one that leaves least for grazing terms to explain. (Misfit
-/// does not tell: it is what is left after them.)
+/// Scans under every model that comes into question, and keeps the one that leaves least for grazing terms to explain.
+/// (Misfit does not tell: it is what is left after them.)
 fn scan_models(
     problem: &mut AlbedoProblem<'_>,
     segments: &Segments,

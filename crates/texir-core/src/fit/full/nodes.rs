@@ -16,7 +16,8 @@ pub fn between(solved: &[usize]) -> impl Iterator<Item = Between> {
     (0..NODES).filter(|node| !solved.contains(node)).map(|node| Between::new(solved, node))
 }
 
-/// A node between solved ones. What it has is that of a cubic through the nearest four (Lagrange): curves over nodes are smooth.
+/// A node between solved ones. What it has is that of a cubic through the nearest four (Lagrange): curves over nodes
+/// are smooth.
 pub struct Between {
     /// Which it is.
     pub node: usize,

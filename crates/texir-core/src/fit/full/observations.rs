@@ -1,5 +1,5 @@
-//! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would shine
-//! at any roughness.
+//! Every pixel of every training view as one row of data: what it sees of which texels, from where, and how it would
+//! shine at any roughness.
 
 use std::sync::Arc;
 
@@ -31,8 +31,8 @@ use crate::texture::Rows;
 /// The smallest n·v that areas are told at.
 const GRAZING: f32 = 0.05;
 
-/// The pixels that take part, all views after one another, those of a view by the texels that they see. Pixels that miss the mesh, are masked or unknown, or see a
-/// light source even in part are left out. Lists are per pixel.
+/// The pixels that take part, all views after one another, those of a view by the texels that they see. Pixels that
+/// miss the mesh, are masked or unknown, or see a light source even in part are left out. Lists are per pixel.
 #[derive(Default)]
 pub struct Observations {
     /// Observed radiance.
@@ -195,8 +195,8 @@ impl Observer<'_> {
             true => tables(&format!("view-{number}-white"), 1.0)?,
             false => Vec::new(),
         };
-        // Pixels that see the same texels come together, and their curves with them: whoever goes through a band of the texels finds
-        // all that is known of its pixels together in memory.
+        // Pixels that see the same texels come together, and their curves with them: whoever goes through a band of the
+        // texels finds all that is known of its pixels together in memory.
         let mut order: Vec<usize> = (0..pixels.len()).collect();
         order.sort_by_key(|&i| pixels[i].1[0].texel);
         let number_of = renumbered(order.iter().map(|&i| blocks.of[i]), corners.len());
@@ -267,7 +267,8 @@ impl Strata {
         (!shares.is_empty()).then_some(shares)
     }
 
-    /// The points that a pixel shows. A stratum that misses the mesh is stood in for by one that does not: there has to be one.
+    /// The points that a pixel shows. A stratum that misses the mesh is stood in for by one that does not: there has to
+    /// be one.
     fn points(&self, pixel: usize) -> [ShadePoint; STRATA] {
         let strata = self.of(pixel);
         let standing_in = strata.into_iter().find(|&s| self.hits[s].is_hit()).unwrap_or(strata[0]);
@@ -316,12 +317,63 @@ mod tests {
         let seen = observed(view);
         assert!(seen.len() < all.len() - 50 && seen.len() > 50, "{} of {}", seen.len(), all.len());
         assert_eq!(seen.radiance, masked.radiance);
-        // Beside them, what an image shows is not to be told to the pixel. (Without a mask, the sky beside the square is left out.)
+        // Beside them, what an image shows is not to be told to the pixel. (Without a mask, the sky beside the square
+        // is left out.)
         let at_rim = |of: &Observations| of.at_rim.iter().filter(|rim| **rim).count();
         assert!(at_rim(&masked) > at_rim(&all) / 2 && at_rim(&masked) < masked.len() / 2);
         assert_eq!(seen.at_rim, masked.at_rim);
         // A pixel of 6° sees the square from angles that differ.
         let cosines = || all.least_cosine.iter().zip(&all.cosine);
         assert!(cosines().all(|(least, mean)| least < mean && least > &(mean - 0.15)));
+    }
+
+    fn observed(square: &LitSquare, emitters: &Mask, views: &[View]) -> Observations {
+        let observer = Observer {
+            atlas: &square.atlas,
+            emitters,
+            settings: &FullSettings::default(),
+            seed: 1,
+            checkpoints: &Checkpoints::none(),
+        };
+        let mut backend = square.backend();
+        backend.set_tbl(&Rgb::filled(SIDE, SIDE, [0.3; 3]), &Lights::none(&square.scene.mesh)).unwrap();
+        observer.observe(&mut backend, views, &Silent).unwrap()
+    }
+
+    #[test]
+    fn pixels_that_show_a_light_source_even_in_part_are_no_observations_of_it() {
+        let square = LitSquare::new();
+        let texture = Rgb::filled(SIDE, SIDE, [0.3; 3]);
+        let view = &square.views(&texture, (64, 32))[..1];
+        let mut lamp = Mask::filled(SIDE, SIDE, false);
+        let [x, y] = [3, 5];
+        lamp.data[y * SIDE + x] = true;
+        let [plain, lit] = [&Mask::filled(SIDE, SIDE, false), &lamp].map(|emitters| observed(&square, emitters, view));
+        // Rays of a finer camera that hit that texel.
+        let camera = view[0].camera;
+        let fine = camera.supersampled(AXIS);
+        let hits = square.backend().primary(&fine, fine.rows()).unwrap();
+        let shows = |pixel: usize| {
+            let within = |k: usize| {
+                let hit = &hits[fine.sub_pixel(AXIS, pixel, k)];
+                let at = || hit.uv(&square.scene.mesh) * SIDE as f32;
+                hit.is_hit() && [at().x as usize, at().y as usize] == [x, y]
+            };
+            (0..STRATA).map(within).filter(|lamp| *lamp).count()
+        };
+        let pixels = |least: usize| (0..camera.pixels()).filter(|p| shows(*p) >= least).count();
+        assert_eq!(plain.len() - lit.len(), pixels(1));
+        // Negative control: fewer show it throughout.
+        assert!(pixels(STRATA) < pixels(1));
+    }
+
+    #[test]
+    fn the_areas_that_pixels_show_are_all_of_a_surface() {
+        let square = LitSquare::new();
+        let view = &square.views(&Rgb::filled(SIDE, SIDE, [0.3; 3]), (512, 256))[..1];
+        let seen = observed(&square, &Mask::filled(SIDE, SIDE, false), view);
+        let area: f32 = seen.area.iter().sum();
+        // Pixels at the rim count in full.
+        assert!((4.0..4.15).contains(&area), "{area} of 4 m²");
     }
 }

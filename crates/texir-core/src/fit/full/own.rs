@@ -1,7 +1,7 @@
 //! Whether a part of a segment has a roughness of its own: its joints, a colour.
 //!
-//! Some roughness always explains a part's pixels better than its segment's does; what else is wrong with them asks for it as
-//! well, but goes with the view. So each half of the views judges what the other half asks for.
+//! Some roughness always explains a part's pixels better than its segment's does; what else is wrong with them asks for
+//! it as well, but goes with the view. So each half of the views judges what the other half asks for.
 
 use super::scan::{Tally, minimum};
 use crate::fit::settings::OwnSettings;
@@ -27,8 +27,8 @@ pub fn asked(said: &Tally, nodes: impl Iterator<Item = usize>, parent: f32, sett
     nodes.filter(|_| said.pixels > 0.0).min_by(|a, b| against(*a).total_cmp(&against(*b)))
 }
 
-/// How far it is believed, 0 to 1, that a part has a roughness of its own, by the halves of the views, either of which asks for one of
-/// the `nodes`.
+/// How far it is believed, 0 to 1, that a part has a roughness of its own, by the halves of the views, either of which
+/// asks for one of the `nodes`.
 pub fn believed<N: Iterator<Item = usize>>(
     [first, second]: &[Said; 2],
     nodes: impl Fn() -> N,
@@ -91,7 +91,8 @@ mod tests {
         });
         assert!(by_pixels[0] == parent && by_pixels.is_sorted_by(|a, b| a >= b), "{by_pixels:?}");
         assert!(by_pixels[3] < 0.75 * parent, "{by_pixels:?}");
-        // Negative controls: halves that contradict each other, one that says it all, pixels that hardly tell, and no pixels.
+        // Negative controls: halves that contradict each other, one that says it all, pixels that hardly tell, and no
+        // pixels.
         let (other, faint) = (half(1.6 * parent, 0.02, 5000.0), half(true_one, 1e-4, 5000.0));
         for (first, second) in
             [(clear, other), (clear, Tally::default()), (faint, faint), (Tally::default(), Tally::default())]

@@ -1,8 +1,8 @@
 //! The colours that a segment is painted with.
 //!
-//! What limits albedo is irradiance, whose error at the scale of texels reads as albedo (a darker spot or a shadow?). People
-//! paint, tile and weave in few colours: where the texels of a segment gather around some, a texel near one of them is
-//! more likely to be lit differently than painted differently.
+//! What limits albedo is irradiance, whose error at the scale of texels reads as albedo (a darker spot or a shadow?).
+//! People paint, tile and weave in few colours: where the texels of a segment gather around some, a texel near one of
+//! them is more likely to be lit differently than painted differently.
 
 use std::collections::BTreeMap;
 
@@ -22,8 +22,8 @@ const SEEDS: usize = 32;
 pub struct Palettes(Vec<Vec<Vec3A>>);
 
 impl Palettes {
-    /// Finds the colours of the texels that are `seen`: modes of their density in ln a, by mean shift (Comaniciu and Meer,
-    /// "Mean Shift: A Robust Approach Toward Feature Space Analysis", 2002).
+    /// Finds the colours of the texels that are `seen`: modes of their density in ln a, by mean shift (Comaniciu and
+    /// Meer, "Mean Shift: A Robust Approach Toward Feature Space Analysis", 2002).
     pub fn find(
         albedo: &[Vec3A],
         segment: &[u32],
@@ -53,8 +53,8 @@ impl Palettes {
         (0..self.0[segment as usize].len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
     }
 
-    /// The albedo drawn towards its segment's nearest colour: all of [`PaletteSettings::strength`] on the colour itself,
-    /// less the further it is away, in units of [`PaletteSettings::reach`].
+    /// The albedo drawn towards its segment's nearest colour: all of [`PaletteSettings::strength`] on the colour
+    /// itself, less the further it is away, in units of [`PaletteSettings::reach`].
     pub fn drawn(&self, segment: u32, albedo: Vec3A, settings: &PaletteSettings) -> Vec3A {
         let Some(mode) = self.0[segment as usize].get(self.nearest(segment, albedo)) else { return albedo };
         let colour = log(albedo);

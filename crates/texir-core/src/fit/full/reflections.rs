@@ -1,10 +1,11 @@
 //! Noise out of specular curves: blocks of a view that reflect the same lend each other their light samples.
 //!
-//! A curve's noise counts as misfit, most at small roughness, so that everything would come out too rough. From one block of
-//! a flat surface to another what is reflected turns by the angle between the view rays, and by parallax: their distance
-//! over that to what is reflected (as irradiance caching spaces its records: Ward, Rubinstein and Clear, "A Ray Tracing
-//! Solution for Diffuse Interreflection", 1988). Where both together are small beside a lobe, whose width goes with α = r²,
-//! they show the same: at every node a curve becomes the mean of those around it, weighed by exp(−½ (turn/(share · α))²).
+//! A curve's noise counts as misfit, most at small roughness, so that everything would come out too rough. From one
+//! block of a flat surface to another what is reflected turns by the angle between the view rays, and by parallax:
+//! their distance over that to what is reflected (as irradiance caching spaces its records: Ward, Rubinstein and Clear,
+//! "A Ray Tracing Solution for Diffuse Interreflection", 1988). Where both together are small beside a lobe, whose
+//! width goes with α = r², they show the same: at every node a curve becomes the mean of those around it, weighed by
+//! exp(−½ (turn/(share · α))²).
 
 use glam::Vec3;
 use rayon::prelude::*;

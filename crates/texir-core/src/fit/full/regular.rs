@@ -1,7 +1,7 @@
 //! Lines at equal distances, as boards of one width and tiles are laid, and the ends of the boards.
 //!
-//! Where they are follows from all of them together, also of those that hardly stand out and of those that no view shows
-//! ([`super::comb`], [`super::ends`]).
+//! Where they are follows from all of them together, also of those that hardly stand out and of those that no view
+//! shows ([`super::comb`], [`super::ends`]).
 
 use rayon::prelude::*;
 
@@ -18,8 +18,9 @@ const SEEN: f32 = 0.25;
 type Piece = Vec<(u32, [i32; 2])>;
 
 impl Paint<'_> {
-    /// What texels, seen or not, have of lines along the rows or the columns of the atlas that are at equal distances in their
-    /// chart, and of the ends of what these divide. None where texels are wider than lines may be (`width`, metres).
+    /// What texels, seen or not, have of lines along the rows or the columns of the atlas that are at equal distances
+    /// in their chart, and of the ends of what these divide. None where texels are wider than lines may be (`width`,
+    /// metres).
     pub fn regular(&self, width: f32, progress: &dyn Progress) -> Result<Vec<Option<Covered>>> {
         let mut lines = vec![None; self.ln.len()];
         if self.texel > width {
@@ -89,7 +90,8 @@ impl Chart<'_> {
         self.piece.iter().map(move |(t, at)| (*t, (at[axis] - first) as usize))
     }
 
-    /// The lines at equal distances along an axis, of contrasts with what is `away` rows, where rows of fewer than `least` texels say nothing.
+    /// The lines at equal distances along an axis, of contrasts with what is `away` rows, where rows of fewer than
+    /// `least` texels say nothing.
     fn regular(&self, axis: usize, (away, least): (f32, f32), progress: &dyn Progress) -> Result<Option<Regular>> {
         let texels = self.rows(axis).map(|(t, row)| (row, self.contrast[axis][t as usize]));
         Profile::of(texels, least).lines(away, progress)
@@ -143,9 +145,10 @@ mod tests {
     const TEXEL: f32 = 0.01;
     const WIDTH: f32 = 0.03;
 
-    /// A floor whose joints are darker by `contrast` than boards that are up to `uneven` brighter or darker, under noise of ±0.3. A third of
-    /// it is not seen. Of the texels that are counted: the share of joints that is found, and the share of what is found that is one. Columns
-    /// and rows tell which board a texel is of, whether it is on a joint, and whether it is counted.
+    /// A floor whose joints are darker by `contrast` than boards that are up to `uneven` brighter or darker, under
+    /// noise of ±0.3. A third of it is not seen. Of the texels that are counted: the share of joints that is found, and
+    /// the share of what is found that is one. Columns and rows tell which board a texel is of, whether it is on a
+    /// joint, and whether it is counted.
     fn found_of(
         board: impl Fn([usize; 2]) -> usize,
         is_joint: impl Fn([usize; 2]) -> bool,
@@ -201,8 +204,8 @@ mod tests {
         // Distances of 9.4 texels, which no row but those of all lines together tells, and lines three texels wide.
         let narrow = |column: usize| (column as f32 + 0.5 - 4.0).rem_euclid(9.4) < 1.0;
         let wide = |column: usize| (6..9).contains(&(column % 15));
-        // Between boards of uneven paint, and where few are seen, periods are less exact, and some of those that are not seen come out
-        // beside where they are.
+        // Between boards of uneven paint, and where few are seen, periods are less exact, and some of those that are
+        // not seen come out beside where they are.
         let cases = [
             ([0.9, 0.8], found(narrow, 0.0, 0.15)),
             ([0.7, 0.7], found(narrow, 0.1, 0.15)),

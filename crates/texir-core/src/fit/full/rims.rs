@@ -1,8 +1,8 @@
 //! Pixels at the rim of what takes no part in the fit.
 //!
-//! A light source, a mirror that is masked, the sky behind a hole of the mesh: each is left out where it is seen. But meshes, poses
-//! and images agree to a centimetre at best, so that the pixel beside it, which should show a window's frame alone, may hold
-//! a sliver of the pane that outshines the frame twenty times.
+//! A light source, a mirror that is masked, the sky behind a hole of the mesh: each is left out where it is seen. But
+//! meshes, poses and images agree to a centimetre at best, so that the pixel beside it, which should show a window's
+//! frame alone, may hold a sliver of the pane that outshines the frame twenty times.
 
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! The roughness scan: how well every pixel is explained at each tabulated roughness, with all albedos solved anew.
 //!
-//! Descending from a start is not enough: from a smooth start, lobes that miss every lamp have no gradient, and from a rough
-//! one they broaden until they fade. A scan has no start.
+//! Descending from a start is not enough: from a smooth start, lobes that miss every lamp have no gradient, and from a
+//! rough one they broaden until they fade. A scan has no start.
 
 use std::iter::repeat_n;
 
@@ -43,9 +43,9 @@ impl Evidence {
         sum / count.max(1) as f64
     }
 
-    /// The half of the views, 0 or 1, that each pixel belongs to, so that what one half says of a segment can be judged by the
-    /// other: its views are dealt out from the one that says most of it, each to the half that has said less. `views` are
-    /// the numbers of pixels of the views.
+    /// The half of the views, 0 or 1, that each pixel belongs to, so that what one half says of a segment can be judged
+    /// by the other: its views are dealt out from the one that says most of it, each to the half that has said less.
+    /// `views` are the numbers of pixels of the views.
     pub fn halves(&self, views: &[usize]) -> Vec<u8> {
         let view_of_pixel = || (0..).zip(views).flat_map(|(view, pixels)| repeat_n(view, *pixels));
         let mut said = vec![vec![0.0; views.len()]; self.slope.len()];
@@ -122,8 +122,8 @@ pub struct Tally {
     pub cost: [f64; NODES],
     /// Σ of their say: how many pixels they are worth.
     pub pixels: f64,
-    /// What the albedo of a whole segment says against each node besides. That of several is not added up: some are painted more
-    /// wildly than others.
+    /// What the albedo of a whole segment says against each node besides. That of several is not added up: some are
+    /// painted more wildly than others.
     pub albedo: [f32; NODES],
 }
 
@@ -164,8 +164,8 @@ impl Tally {
         (cost / self.pixels + FLOOR).ln() as f32
     }
 
-    /// The logarithm of the mean cost at each node: the negative profile log-likelihood, per pixel, of residuals whose size is
-    /// not known beforehand.
+    /// The logarithm of the mean cost at each node: the negative profile log-likelihood, per pixel, of residuals whose
+    /// size is not known beforehand.
     pub fn misfit(&self) -> [f32; NODES] {
         self.cost.map(|cost| self.ln_mean(cost))
     }
@@ -176,9 +176,9 @@ impl Tally {
         std::array::from_fn(|k| misfit[k] + self.albedo[k])
     }
 
-    /// The logarithm of the likelihood of each node's roughness by its pixels: (mean cost)^-n, as of residuals whose size is not known.
-    /// The number n of what counts as independent is bounded however many pixels there are, since what goes wrong here is
-    /// systematic ([`super::hierarchy`]).
+    /// The logarithm of the likelihood of each node's roughness by its pixels: (mean cost)^-n, as of residuals whose
+    /// size is not known. The number n of what counts as independent is bounded however many pixels there are, since
+    /// what goes wrong here is systematic ([`super::hierarchy`]).
     pub fn ln_likelihood(&self) -> [f32; NODES] {
         let pixels = self.pixels as f32;
         if pixels == 0.0 {
@@ -251,8 +251,8 @@ pub fn scan(
     Ok(Evidence { segment, cost: costs, say: say(&problem.seen.area), slope, variation })
 }
 
-/// The one segment that a pixel sees, all of it at a cosine above `min_cosine`; [`NONE`] otherwise: the grazing side of an edge
-/// reflects more than all the rest of the pixel. Pixels at rims may hold light that is none of their segment's.
+/// The one segment that a pixel sees, all of it at a cosine above `min_cosine`; [`NONE`] otherwise: the grazing side of
+/// an edge reflects more than all the rest of the pixel. Pixels at rims may hold light that is none of their segment's.
 fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
     let segments = problem.segment.0;
     (0..problem.seen.len())
@@ -266,9 +266,9 @@ fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
         .collect()
 }
 
-/// How much of a say pixels have that show these areas: it grows with the root of the area, and is 1 on average. Whoever is
-/// near has many pixels on a surface, all with the same systematic errors: what this view sees reflected, and an albedo that
-/// no other view contradicts.
+/// How much of a say pixels have that show these areas: it grows with the root of the area, and is 1 on average.
+/// Whoever is near has many pixels on a surface, all with the same systematic errors: what this view sees reflected,
+/// and an albedo that no other view contradicts.
 pub(super) fn say(area: &[f32]) -> Vec<f32> {
     let root: Vec<f32> = area.par_iter().map(|area| area.sqrt()).collect();
     let mean = root.iter().copied().map(f64::from).sum::<f64>() / root.len().max(1) as f64;
@@ -285,18 +285,18 @@ fn grey(e: Vec3A) -> f32 {
     e.element_sum() / 3.0
 }
 
-/// What a residual e costs, ln(1 + |e|²/(2σ)²). |e|² is what its channels have in common, squared, and `colour_weight` times the
-/// mean square of what they do not: most errors of irradiance are alike in all channels, on surfaces that are nearly grey,
-/// while highlights have the colours of what they reflect.
+/// What a residual e costs, ln(1 + |e|²/(2σ)²). |e|² is what its channels have in common, squared, and `colour_weight`
+/// times the mean square of what they do not: most errors of irradiance are alike in all channels, on surfaces that are
+/// nearly grey, while highlights have the colours of what they reflect.
 pub(super) fn cost(e: Vec3A, sigma: f32, colour_weight: f32) -> f32 {
     let grey = grey(e);
     let squared = grey * grey + colour_weight / 3.0 * (e - grey).length_squared();
     (squared / (2.0 * sigma).powi(2)).ln_1p()
 }
 
-/// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1 beyond what rougher
-/// nodes have found: real materials
-/// differ from the BRDF in their grazing reflectance (and in retro-reflection), which a scan would take for gloss.
+/// Per segment, the slope b and the offset c of the residual's least-squares fit b (1−nv)⁵ + c, |b| ≤ 1 beyond what
+/// rougher nodes have found: real materials differ from the BRDF in their grazing reflectance (and in
+/// retro-reflection), which a scan would take for gloss.
 fn grazing_terms(
     problem: &AlbedoProblem<'_>,
     segment: &[u32],

@@ -20,8 +20,8 @@ const SMALLEST_FACE: f32 = 0.1;
 pub struct Segments {
     /// That of every valid texel.
     pub segment: Vec<u32>,
-    /// The flat piece of its segment that every valid texel is in: one wall of those around a room. Small pieces of a segment
-    /// count as one.
+    /// The flat piece of its segment that every valid texel is in: one wall of those around a room. Small pieces of a
+    /// segment count as one.
     pub face: Vec<u32>,
     /// Semantic class of each segment; 0 is "unknown".
     pub class: Vec<u16>,
@@ -40,8 +40,8 @@ impl Segments {
         self.segment.iter().map(|s| values[*s as usize]).collect()
     }
 
-    /// What every segment is painted after where it is not known itself: itself, if it is `known` anywhere; else the best known
-    /// one of its class, in its room if there is one. `known` has a value per texel.
+    /// What every segment is painted after where it is not known itself: itself, if it is `known` anywhere; else the
+    /// best known one of its class, in its room if there is one. `known` has a value per texel.
     pub fn models(&self, known: impl Fn(usize) -> bool) -> Vec<u32> {
         let mut texels = vec![0u32; self.count()];
         (0..self.segment.len()).filter(|t| known(*t)).for_each(|t| texels[self.segment[t] as usize] += 1);
@@ -64,11 +64,11 @@ impl Segments {
     }
 }
 
-/// Segments the texels by the labels that the views voted for, with borders where the colour changes ([`borders`]); where views
-/// have no classes, by geometry and colour alone ([`automatic`]). Texels around which there are none take the label of the other side,
-/// if they are the back of something thin, or of what is seen of their flat surface, or of the nearest texel along the mesh. Rooms
-/// are the capture's, where it names them, and else the floor plan's. `albedo` may be as rough as π · radiance / irradiance;
-/// `texel` is the edge of a typical texel, metres.
+/// Segments the texels by the labels that the views voted for, with borders where the colour changes ([`borders`]);
+/// where views have no classes, by geometry and colour alone ([`automatic`]). Texels around which there are none take
+/// the label of the other side, if they are the back of something thin, or of what is seen of their flat surface, or of
+/// the nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. `albedo`
+/// may be as rough as π · radiance / irradiance; `texel` is the edge of a typical texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
@@ -115,8 +115,8 @@ pub fn segment(
     }
 }
 
-/// Flat pieces of segments that have at least so many texels; what is left of each segment is one more. Bumps of a scan leave
-/// nothing else of it.
+/// Flat pieces of segments that have at least so many texels; what is left of each segment is one more. Bumps of a scan
+/// leave nothing else of it.
 fn faces((segment, segments): (&[u32], usize), surface: &[u32], adjacency: &Adjacency, least: usize) -> Vec<u32> {
     let of = |t: u32| (segment[t as usize], surface[t as usize]);
     let (piece, count) = connected(segment.len(), adjacency, &[], |a, b| of(a) == of(b));

@@ -1,13 +1,14 @@
 //! What a pixel sees of which texels, stratum by stratum, in eight bytes a texel.
 //!
-//! Textures are interpolated: what lies between a smooth texel and a rough one has the mean of their roughness, and reflects far less
-//! of a lamp than the mean of what they reflect. So the shares of a pixel are kept as those of its strata, each of which shows one
-//! place.
+//! Textures are interpolated: what lies between a smooth texel and a rough one has the mean of their roughness, and
+//! reflects far less of a lamp than the mean of what they reflect. So the shares of a pixel are kept as those of its
+//! strata, each of which shows one place.
 
 use crate::specular_table::STRATA;
 use crate::texture::Tap;
 
-/// Units that the weights of a pixel have in all. Fewer would show: what albedo explains to a thousandth tells roughness.
+/// Units that the weights of a pixel have in all. Fewer would show: what albedo explains to a thousandth tells
+/// roughness.
 const OF_PIXEL: u16 = u16::MAX;
 /// Units that a stratum has in all, in bits,
 const BITS: usize = 4;
@@ -25,8 +26,8 @@ pub struct Share {
 }
 
 impl Share {
-    /// The shares of a pixel whose strata see these texels, in any unit; ascending, each texel once, 1 in all. A stratum that sees none
-    /// is stood in for by the first that does; nothing if none does.
+    /// The shares of a pixel whose strata see these texels, in any unit; ascending, each texel once, 1 in all. A
+    /// stratum that sees none is stood in for by the first that does; nothing if none does.
     pub fn of(strata: [Vec<Tap>; STRATA]) -> Vec<Self> {
         let Some(first) = strata.iter().find(|taps| !taps.is_empty()) else { return Vec::new() };
         let strata = strata.each_ref().map(|taps| if taps.is_empty() { first } else { taps });

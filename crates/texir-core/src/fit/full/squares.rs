@@ -10,8 +10,8 @@ use crate::specular_table::STRATA;
 pub const AXIS: usize = 2;
 const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a square");
 
-/// The squares that an image is cut into, row by row. Near the poles of a panorama, whose columns crowd there, they have more pixels
-/// in a row, so that they are as wide there as anywhere.
+/// The squares that an image is cut into, row by row. Near the poles of a panorama, whose columns crowd there, they
+/// have more pixels in a row, so that they are as wide there as anywhere.
 pub struct Squares {
     /// Pixels in a row of the image.
     width: usize,
@@ -68,8 +68,8 @@ impl Squares {
         self.first[row + 1] - self.first[row]
     }
 
-    /// The numbers of those at most `reach` rows and columns away from one, that one among them. The image's sides join, as a
-    /// panorama's do; what that brings together in another image lies in other directions.
+    /// The numbers of those at most `reach` rows and columns away from one, that one among them. The image's sides
+    /// join, as a panorama's do; what that brings together in another image lies in other directions.
     pub fn around(&self, [row, column]: [usize; 2], reach: usize) -> impl Iterator<Item = usize> {
         let middle = 2 * column + 1;
         (row.saturating_sub(reach)..(row + reach + 1).min(self.across.len())).flat_map(move |other| {
@@ -81,8 +81,8 @@ impl Squares {
         })
     }
 
-    /// How far a pixel is off the middle of the `k`th quadrant of its square, squared, in shares of the square's sides; compares within
-    /// one square.
+    /// How far a pixel is off the middle of the `k`th quadrant of its square, squared, in shares of the square's sides;
+    /// compares within one square.
     pub fn off_quadrant(&self, pixel: usize, k: usize) -> f32 {
         let [row, column] = self.of(pixel);
         let off = |at: usize, start: usize, side: usize, half: usize| {

@@ -7,8 +7,8 @@ use crate::fit::adjacency::NONE;
 /// Items that are added up one after another: few enough for all threads, many beside the groups.
 const BLOCK: usize = 1 << 18;
 
-/// Σ `of` over the items of each of `groups` groups; `group` has one for each item, [`NONE`] for those of none. In double precision: a
-/// sum of millions of items in single precision stops where one is less than its last digit.
+/// Σ `of` over the items of each of `groups` groups; `group` has one for each item, [`NONE`] for those of none. In
+/// double precision: a sum of millions of items in single precision stops where one is less than its last digit.
 pub fn by_group<const N: usize>(
     group: &[u32],
     groups: usize,

@@ -8,7 +8,7 @@ use super::albedo::{AlbedoProblem, Roughness};
 use super::hierarchy::{Parent, settle};
 use super::joints::{self, Judges, Lines};
 use super::observations::Observations;
-use super::scan::{Evidence, cost, minimum, scan};
+use super::scan::{Evidence, Tally, cost, minimum, scan};
 use super::share::Share;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
@@ -353,8 +353,8 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         assert_eq!(values.len(), FLOOR, "paint {paint}, finish {finish}");
         assert!(values.iter().all(|r| (r - finish).abs() < 0.12), "{values:?} for {finish}");
     }
-    // Negative controls: paint that is as glossy as the floor, a finish that no paint gives away, and what is no line, unless
-    // single texels are taken for one.
+    // Negative controls: paint that is as glossy as the floor, a finish that no paint gives away, and what is no line,
+    // unless single texels are taken for one.
     assert!(on(&found(column, 1.0, 0.25, 0.15)).is_empty());
     assert!(on(&found(column, 1.0, 0.5, 0.6)).is_empty());
     assert!(on(&found(specks, 1.0, 0.25, 0.5)).is_empty());
@@ -650,4 +650,128 @@ fn irradiance_takes_what_albedo_gives_up_but_not_of_metal() {
     }
     assert_eq!(found[1], Vec3A::splat(2.0));
     assert_eq!(found[2], Vec3A::splat(20.0), "at most ten times");
+}
+
+#[test]
+fn every_view_has_curves_of_its_own() {
+    use std::ops::Range;
+
+    use glam::Mat4;
+
+    use super::observations::Observer;
+    use crate::camera::{Camera, Projection};
+    use crate::capture::{Split, View};
+    use crate::checkpoint::Checkpoints;
+    use crate::fit::settings::FullSettings;
+    use crate::raster::Mask;
+    let (scene, radiance) = room();
+    let mut backend = CpuBackend::new(scene.clone());
+    let atlas = Atlas::new(&mut backend, 2 * FLOOR, FLOOR).unwrap();
+    backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance).unwrap()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let image = folder.path().join("image.exr");
+    crate::image_io::write_rgb(&image, &Rgb::filled(32, 16, [0.3; 3])).unwrap();
+    let [a, b, c] = [-0.5, 0.1, 0.6].map(|x| {
+        let world_from_camera = Mat4::from_translation(Vec3::new(x, 0.2, 1.0));
+        let camera = Camera { projection: Projection::Equirectangular, width: 32, height: 16, world_from_camera };
+        View::new(x.to_string(), camera, Split::Train, image.clone())
+    });
+    let (emitters, settings) = (Mask::filled(2 * FLOOR, FLOOR, false), FullSettings::default());
+    let checkpoints = Checkpoints::none();
+    let observer =
+        Observer { atlas: &atlas, emitters: &emitters, settings: &settings, seed: 1, checkpoints: &checkpoints };
+    let [ab, cb, alone] = [vec![a.clone(), b.clone()], vec![c, b], vec![a]]
+        .map(|views| observer.observe(&mut backend, &views, &Silent).unwrap());
+    let curves = |of: &Observations, range: Range<usize>| range.map(|p| *of.curve(p)).collect::<Vec<_>>();
+    let [first, other] = [&ab, &cb].map(|of| of.views[0]);
+    assert_eq!(curves(&ab, 0..first), curves(&alone, 0..alone.len()));
+    assert_eq!(curves(&ab, first..ab.len()), curves(&cb, other..cb.len()));
+    // Negative control: views differ.
+    let each = first.min(other).min(ab.len() - first);
+    assert_ne!(curves(&ab, 0..each), curves(&cb, 0..each));
+    assert_ne!(curves(&ab, 0..each), curves(&ab, first..first + each));
+}
+
+/// The albedo that a toy of roughness 0.3 is found to have where that is known.
+fn solved(toy: &Toy, settings: &AlbedoSettings) -> Vec<Vec3A> {
+    let problem = toy.problem(settings);
+    let mut albedo = problem.start();
+    problem.solve_at(&mut albedo, vec![0.3; toy.segment.len()], 4);
+    albedo
+}
+
+#[test]
+fn neighbours_are_drawn_together_but_not_across_an_edge() {
+    // Two paints, each with noise that looks like a chequerboard; no texel is seen twice.
+    let paint = |t: usize| if t % (2 * FLOOR) < FLOOR / 2 { 0.2 } else { 0.8 };
+    let noise = |t: usize| if (t % (2 * FLOOR) + t / (2 * FLOOR)).is_multiple_of(2) { 0.01 } else { -0.01 };
+    let mut toy = toy(|t| Vec3A::splat(paint(t) + noise(t)), 0.3, 1.0);
+    toy.seen_by_one();
+    // The largest and the smallest difference between a texel of some columns and the one right of it.
+    let steps = |smoothness: f32, columns: &[usize]| {
+        let albedo = solved(&toy, &AlbedoSettings { smoothness, segment_prior: 1e-6, ..AlbedoSettings::default() });
+        let looked_at = (0..albedo.len()).filter(|&t| toy.segment[t] == 0 && columns.contains(&(t % (2 * FLOOR))));
+        let steps: Vec<f32> = looked_at.map(|t| (albedo[t].x - albedo[t + 1].x).abs()).collect();
+        [f32::min, f32::max].map(|pick| steps.iter().copied().reduce(pick).unwrap())
+    };
+    let (within, across) = ([0, 1, 5, 6], [FLOOR / 2 - 1]);
+    let [free, smooth] = [0.0, 2.0].map(|smoothness| steps(smoothness, &within));
+    assert!(free[0] > 0.015 && smooth[1] < 0.01, "{free:?} {smooth:?}");
+    assert!(steps(2.0, &across)[0] > 0.5, "{:?} of 0.6", steps(2.0, &across));
+}
+
+#[test]
+fn a_view_that_contradicts_all_others_hardly_counts() {
+    let truth = |t: usize| Vec3A::splat(0.3 + 0.02 * (t % 3) as f32);
+    let mut toy = toy(truth, 0.3, 1.0);
+    let pixels = toy.seen.len() / 8;
+    toy.seen.radiance[3 * pixels..4 * pixels].iter_mut().for_each(|radiance| *radiance *= 3.0);
+    let albedo = solved(&toy, &AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() });
+    let floor = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
+    let off = floor.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max);
+    // Were all believed alike, it would be an eighth of 0.6 and more.
+    assert!(off < 0.02, "{off}");
+}
+
+#[test]
+fn what_is_taken_off_for_a_highlight_is_believed_to_a_share_of_itself() {
+    let toy = toy(|_| Vec3A::splat(0.5), 0.3, 1.0);
+    let settings = AlbedoSettings { specular_noise: 0.5, ..AlbedoSettings::default() };
+    let problem = toy.problem(&settings);
+    let roughness = vec![0.3; toy.segment.len()];
+    let [plain, known] = [problem.noise(settings.image_noise), problem.noise_at(&Roughness::Texels(&roughness))];
+    let mut most = 0.0f32;
+    for p in 0..toy.seen.len() {
+        // As albedo, like the noise.
+        let highlight = Vec3A::from(toy.seen.curve(p).at(0.3).0) * problem.per_irradiance[p];
+        let wrong = 0.5 * (highlight.x + highlight.y + highlight.z) / 3.0;
+        let expected = (plain[p].powi(2) + wrong.powi(2)).sqrt();
+        assert!((known[p] - expected).abs() < 1e-5 * expected, "pixel {p}: {} for {expected}", known[p]);
+        most = most.max(wrong / plain[p]);
+    }
+    assert!(most > 1.0, "highlights are to matter: {most}");
+}
+
+#[test]
+fn segments_without_evidence_take_what_is_nearest_to_them_in_the_hierarchy() {
+    use super::hierarchy::of_segments;
+    use super::segments::Segments;
+    use crate::specular_table::node;
+    // A segment that nothing is known of, one of its class in its room, one of its class elsewhere, and one of another
+    // class.
+    let segments = Segments { segment: vec![], face: vec![], class: vec![1, 1, 1, 2], class_in_room: vec![0, 0, 1, 2] };
+    let asking = |roughness: f32| {
+        let cost = std::array::from_fn(|k| 1e4 * f64::from(1e-4 + (node(k) - roughness).powi(2)));
+        Tally { cost, pixels: 1e4, ..Tally::default() }
+    };
+    let settings = RoughnessSettings::default();
+    let found = |of: [f32; 3]| {
+        let tallies = [Tally::default(), asking(of[0]), asking(of[1]), asking(of[2])];
+        of_segments(&segments, &tallies, &[None; 4], &settings)
+    };
+    let [unknown, room, elsewhere, other] = found([0.3, 0.6, 0.7])[..] else { panic!() };
+    assert!((room - 0.3).abs() < 0.02 && (elsewhere - 0.6).abs() < 0.02 && (other - 0.7).abs() < 0.02);
+    assert!((0.29..0.42).contains(&unknown), "{unknown} in a room where its class has 0.3, and 0.6 in another");
+    // Nothing is as rough as chalk by what pixels alone say.
+    assert_eq!(found([1.0, 0.6, 0.7])[1], settings.cap);
 }

@@ -1,10 +1,12 @@
 //! The fit in paper mode: three stages of gradient descent ([`stages`]) over the views ([`views`]).
 
-pub mod stages;
-pub mod views;
+mod stages;
+mod views;
 
 use std::time::Instant;
 
+pub use self::stages::{EpochLog, Stage};
+use self::stages::{Optimisation, Textures};
 use super::{Ground, Materials, emission};
 use crate::backend::Backend;
 use crate::bake;
@@ -18,7 +20,6 @@ use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::{Gray, Raster, Rgb};
 use crate::texture::Pyramid;
-use stages::{EpochLog, Optimisation, Textures};
 use views::{FitView, Surroundings};
 
 /// Fits the materials. The backend holds the full TBL and its lights, before and after; `irradiance` is E per texel.
@@ -78,8 +79,8 @@ pub fn fit(
     })
 }
 
-/// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep the
-/// values that the fit started from.
+/// The fitted textures with the texels that no pixel sees filled from their surroundings, and padded: they would keep
+/// the values that the fit started from.
 fn complete(
     backend: &mut dyn Backend,
     ground: &Ground<'_>,

@@ -1,5 +1,5 @@
-//! The paper's three stages (method section 3). Each is the same loop, one view per step: look the parameters up, render,
-//! compare, and carry the gradient back to the texels, where Adam updates them.
+//! The paper's three stages (method section 3). Each is the same loop, one view per step: look the parameters up,
+//! render, compare, and carry the gradient back to the texels, where Adam updates them.
 
 use std::borrow::Cow;
 
@@ -9,7 +9,7 @@ use crate::checkpoint::{Array, Checkpoints, Step};
 use crate::error::{Error, Result};
 use crate::fit::adam::Adam;
 use crate::fit::settings::{FitSettings, OptimiserSettings};
-use crate::progress::{Progress, Silent};
+use crate::progress::{Progress, Uncounted};
 use crate::rng::hash2;
 use crate::surface::SurfacePoint;
 use crate::texture::Pyramid;
@@ -184,7 +184,8 @@ impl<'a> Optimisation<'a> {
     ) -> Result<Loss<MaterialGrad>> {
         let sampling = Sampling { samples: self.settings.specular_samples, seed };
         let points = &*self.lit(points, seed)?;
-        let shaded = self.backend.shade(points, materials, sampling, self.settings.gradient, &Silent)?;
+        let shaded =
+            self.backend.shade(points, materials, sampling, self.settings.gradient, &Uncounted(self.progress))?;
         let radiance: Vec<[f32; 3]> = shaded.iter().map(|s| s.radiance).collect();
         let loss = self.backend.radiance_loss(&radiance, target)?;
         let gradient = self.backend.shade_vjp(points, materials, &shaded, &loss.gradient)?;
@@ -198,7 +199,7 @@ impl<'a> Optimisation<'a> {
         }
         let gather = Gather::new(self.settings.specular_samples, 0, seed);
         let origins: Vec<SurfacePoint> = points.iter().map(ShadePoint::origin).collect();
-        let gathered = self.backend.irradiance(&origins, gather, &Silent)?;
+        let gathered = self.backend.irradiance(&origins, gather, &Uncounted(self.progress))?;
         Ok(points.iter().zip(gathered).map(|(p, g)| ShadePoint { irradiance: g.irradiance, ..*p }).collect())
     }
 
@@ -227,8 +228,8 @@ impl<'a> Optimisation<'a> {
             .collect()
     }
 
-    /// Epochs over the views in a new order each, one Adam step per view; the optimiser starts afresh, or where an earlier
-    /// run was stopped.
+    /// Epochs over the views in a new order each, one Adam step per view; the optimiser starts afresh, or where an
+    /// earlier run was stopped.
     fn epochs(
         &mut self,
         stage: Stage,

@@ -8,7 +8,7 @@ use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, Sha
 use crate::capture::{Split, View};
 use crate::error::Result;
 use crate::fit::Ground;
-use crate::progress::{Progress, Silent};
+use crate::progress::{Progress, Uncounted};
 use crate::raster::Rgb;
 use crate::rng::hash2;
 use crate::texture::{Footprints, Pyramid, Rows};
@@ -20,8 +20,6 @@ const HIGHLIGHT_SAMPLES: u32 = 16;
 /// The pixels of one training view that take part: those that hit the mesh, may be used and see no light source.
 /// All lists are per such pixel.
 pub struct FitView {
-    /// The view's name.
-    pub name: String,
     /// What shading needs.
     pub points: Vec<ShadePoint>,
     /// Observed radiance.
@@ -51,8 +49,8 @@ pub struct Surroundings<'a> {
 }
 
 impl Surroundings<'_> {
-    /// Prepares the training views. The backend must hold the TBL of the light sources alone: the virtual highlights are
-    /// found with it.
+    /// Prepares the training views. The backend must hold the TBL of the light sources alone: the virtual highlights
+    /// are found with it.
     pub fn prepare(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<FitView>> {
         let training: Vec<&View> = views.iter().filter(|v| v.split == Split::Train).collect();
         progress.start("views", training.len() as u64, "views");
@@ -93,7 +91,7 @@ impl Surroundings<'_> {
                 ShadePoint::new(&scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
             })
             .collect();
-        let highlights = self.highlights(backend, &points, &view.name)?;
+        let highlights = self.highlights(backend, &points, &view.name, progress)?;
         let class_of = |i: usize| classes.as_ref().map_or(0, |c| c.data[used[i] as usize]);
         let room_of = |i: usize| match (&rooms, view.room_id) {
             (Some(map), _) => map.data[used[i] as usize],
@@ -104,7 +102,6 @@ impl Surroundings<'_> {
         highlights.iter().for_each(|&h| is_highlight[h as usize] = true);
         let none = vec![false; points.len()];
         Ok(FitView {
-            name: view.name.clone(),
             target: used.iter().map(|&i| image.data[i as usize]).collect(),
             by_class: group(class_of, &none),
             by_class_highlights: group(class_of, &is_highlight),
@@ -120,11 +117,17 @@ impl Surroundings<'_> {
     }
 
     /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.
-    fn highlights(&self, backend: &mut dyn Backend, points: &[ShadePoint], name: &str) -> Result<Vec<u32>> {
+    fn highlights(
+        &self,
+        backend: &mut dyn Backend,
+        points: &[ShadePoint],
+        name: &str,
+        progress: &dyn Progress,
+    ) -> Result<Vec<u32>> {
         let mirror = vec![Material::dielectric([0.0; 3], HIGHLIGHT_ROUGHNESS); points.len()];
         let seed = name.bytes().fold(self.ground.seed, |s, b| hash2(s, u32::from(b)));
         let sampling = Sampling { samples: HIGHLIGHT_SAMPLES, seed };
-        let shaded = backend.shade(points, &mirror, sampling, RoughnessGradient::Exact, &Silent)?;
+        let shaded = backend.shade(points, &mirror, sampling, RoughnessGradient::Exact, &Uncounted(progress))?;
         Ok((0..points.len() as u32).filter(|&i| shaded[i as usize].radiance.iter().any(|&c| c > 0.0)).collect())
     }
 }

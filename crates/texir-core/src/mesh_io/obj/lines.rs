@@ -1,6 +1,6 @@
-//! The lines of an OBJ on their way to the parser. What one face of a group lacks, the parser takes from all of them without
-//! a word, and it says of no error where it is. Faces of another form (`v`, `v/vt`, `v//vn`, `v/vt/vn`) therefore get a group of
-//! their own here, lines are counted, and indices checked.
+//! The lines of an OBJ on their way to the parser. What one face of a group lacks, the parser takes from all of them
+//! without a word, and it says of no error where it is. Faces of another form (`v`, `v/vt`, `v//vn`, `v/vt/vn`)
+//! therefore get a group of their own here, lines are counted, and indices checked.
 
 use std::io::{BufRead, Error, Read, Result};
 use std::str::SplitWhitespace;
@@ -154,8 +154,8 @@ impl Indices {
         }
     }
 
-    /// What is named up to line `end` without being there. Where there are no `vt` or `vn` at all, faces that name them are taken
-    /// to have none.
+    /// What is named up to line `end` without being there. Where there are no `vt` or `vn` at all, faces that name them
+    /// are taken to have none.
     fn missing(&self, end: usize) -> Option<String> {
         let is_missing = |&kind: &usize| {
             let defined = self.defined[kind];
