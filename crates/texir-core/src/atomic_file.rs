@@ -46,9 +46,13 @@ pub fn write_atomic<E: Display>(
 /// may be another disk than its parent, else beside it.
 #[derive(Debug)]
 pub struct Stage {
-    folder: TempDir,
+    /// What goes when the stage does.
+    hidden: TempDir,
     target: PathBuf,
 }
+
+/// The folder that fills, within the hidden one: it has the permissions of an ordinary new folder.
+const FILLING: &str = "new";
 
 impl Stage {
     /// Prepares to fill `target`, which may exist; missing folders above it are made.
@@ -61,13 +65,14 @@ impl Stage {
         let (place, side) = if target.is_dir() { (target.as_path(), "in") } else { (folder_of(target), "beside") };
         let failed = |e| Error::file(target, format!("cannot be written {side}: {e}"));
         std::fs::create_dir_all(place).map_err(failed)?;
-        let folder = tempfile::Builder::new().prefix(".texir-").tempdir_in(place).map_err(failed)?;
-        Ok(Self { folder, target: target.to_owned() })
+        let hidden = tempfile::Builder::new().prefix(".texir-").tempdir_in(place).map_err(failed)?;
+        std::fs::create_dir(hidden.path().join(FILLING)).map_err(failed)?;
+        Ok(Self { hidden, target: target.to_owned() })
     }
 
     /// The folder to write to.
-    pub fn folder(&self) -> &Path {
-        self.folder.path()
+    pub fn folder(&self) -> PathBuf {
+        self.hidden.path().join(FILLING)
     }
 
     /// Where that will be moved to.
@@ -75,15 +80,22 @@ impl Stage {
         &self.target
     }
 
-    /// Moves a file or folder to the target, in place of a file of its name.
+    /// Makes the folder the target, at once, where nothing is there yet.
+    pub fn place_whole(&self) -> Result<()> {
+        std::fs::rename(self.folder(), &self.target).map_err(|e| Error::cannot_write(&self.target, e))
+    }
+
+    /// Moves a file or folder to the target, which is there, in place of a file of its name.
     pub fn place(&self, name: impl AsRef<Path>) -> Result<()> {
-        std::fs::create_dir_all(&self.target).map_err(|e| Error::cannot_write(&self.target, e))?;
         let to = self.target.join(&name);
         std::fs::rename(self.folder().join(name), &to).map_err(|e| Error::cannot_write(&to, e))
     }
 
     /// Moves all to the target, which holds none of it; the file `last` after all others.
     pub fn place_all(self, last: &str) -> Result<()> {
+        if !self.target.exists() {
+            return self.place_whole();
+        }
         let failed = |e| Error::cannot_write(&self.target, e);
         let entries = std::fs::read_dir(self.folder()).map_err(failed)?;
         let names = entries.map(|entry| Ok(entry?.file_name())).collect::<std::io::Result<Vec<OsString>>>();
@@ -188,5 +200,27 @@ mod tests {
         std::fs::write(&ordinary, b"x").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&ours), mode(&ordinary));
+    }
+
+    #[test]
+    fn a_stage_becomes_its_target_at_once_or_fills_it() {
+        let root = tempfile::tempdir().unwrap();
+        let target = root.path().join("out");
+        for text in ["first", "second"] {
+            let stage = Stage::new(&target).unwrap();
+            std::fs::write(stage.folder().join("a.txt"), text).unwrap();
+            assert_eq!(target.exists(), text == "second");
+            stage.place_all("a.txt").unwrap();
+            assert_eq!(std::fs::read_to_string(target.join("a.txt")).unwrap(), text);
+        }
+        assert_eq!((names(&target), names(root.path())), (vec!["a.txt".to_owned()], vec!["out".to_owned()]));
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let ordinary = root.path().join("ordinary");
+            std::fs::create_dir(&ordinary).unwrap();
+            let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+            assert_eq!(mode(&target), mode(&ordinary));
+        }
     }
 }

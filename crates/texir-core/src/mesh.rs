@@ -41,7 +41,8 @@ impl Mesh {
         if self.triangles.is_empty() {
             return Err(Error::invalid("the mesh has no triangles"));
         }
-        if let Some((i, uv)) = self.uvs.iter().enumerate().find(|(_, uv)| !(uv.abs().max_element() <= FARTHEST_UV)) {
+        let is_near = |uv: &Vec2| uv.is_finite() && uv.abs().max_element() <= FARTHEST_UV;
+        if let Some((i, uv)) = self.uvs.iter().enumerate().find(|(_, uv)| !is_near(uv)) {
             return Err(Error::invalid(format!(
                 "vertex {i} of the mesh has the atlas coordinates {uv}; expected numbers, from 0 to 1 as a rule, and up to \
                  {FARTHEST_UV:e}"

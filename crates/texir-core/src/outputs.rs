@@ -192,11 +192,17 @@ pub struct Staging(Stage);
 impl Staging {
     /// Prepares to fill `target`, which may exist; missing folders above it are made.
     pub fn new(target: &Path) -> Result<Self> {
-        Stage::new(target).map(Self)
+        let stage = Stage::new(target)?;
+        match FILES.map(|name| stage.target().join(name)).into_iter().find(|path| path.is_dir()) {
+            Some(folder) => {
+                Err(Error::file(folder, "is a folder; expected a file, which will be replaced, or nothing"))
+            }
+            None => Ok(Self(stage)),
+        }
     }
 
     /// The folder to write to.
-    pub fn folder(&self) -> &Path {
+    pub fn folder(&self) -> PathBuf {
         self.0.folder()
     }
 
@@ -211,9 +217,12 @@ impl Staging {
         target.with_file_name(name)
     }
 
-    /// Moves the files to the target. Files of the layout that an earlier run left there and this one did not make are
-    /// removed: they describe another result.
+    /// Moves the files to the target: the folder as a whole where there is none yet. Files of the layout that an
+    /// earlier run left there and this one did not make are removed: they describe another result.
     pub fn commit(self) -> Result<()> {
+        if !self.0.target().exists() {
+            return self.0.place_whole();
+        }
         for name in FILES {
             let old = self.0.target().join(name);
             if self.folder().join(name).exists() {
@@ -271,7 +280,7 @@ mod tests {
         }
         let staging = Staging::new(root.path()).unwrap();
         // The target may be another disk than the folder that it lies in.
-        assert_eq!(staging.folder().parent(), Some(root.path()));
+        assert!(staging.folder().starts_with(root.path()));
         fs::write(staging.folder().join(ALBEDO), "new").unwrap();
         staging.commit().unwrap();
         assert_eq!(names(root.path()), [ALBEDO, "notes.txt"]);

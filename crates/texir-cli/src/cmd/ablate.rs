@@ -14,7 +14,7 @@ use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
 use super::report::{name, publish};
-use super::{CaptureArgs, Session, check_folder, eval, fit};
+use super::{CaptureArgs, Session, check_folder, eval, fit, rays};
 use crate::device;
 use crate::failure::Failure;
 use crate::figures::{self, FIGURES};
@@ -72,7 +72,7 @@ pub struct Ablate {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Rays per pixel of the evaluations, for highlights; at least 96
-    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
 }
 

@@ -22,12 +22,9 @@ use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
-use super::{Session, check_outputs, check_side, tbl};
+use super::{Session, bytes, check_outputs, check_side, goes_on, rays, tbl};
 use crate::device;
 use crate::failure::Failure;
-
-/// Rays per texel at most: their standard error is far below what images can tell.
-const MOST_RAYS: i64 = 1 << 20;
 
 /// Arguments of `texir bake`.
 #[derive(Debug, Args)]
@@ -46,7 +43,7 @@ pub struct Bake {
     size: Option<usize>,
     /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded
     /// up to a multiple of four unless --no-denoise
-    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=MOST_RAYS))]
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = rays())]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
     #[arg(long, value_name = "SHARE")]
@@ -72,7 +69,7 @@ pub struct Bake {
     fill_buried: bool,
     /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the
     /// output, to the same bits [default: all that the map needs]
-    #[arg(long, value_name = "SIZE")]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
     max_memory: Option<ByteSize>,
     /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]
     #[arg(long, value_enum)]
@@ -158,7 +155,8 @@ impl Bake {
         drop(radiance);
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
         let texels = Texels::map(backend.as_mut(), size, workspace, session.console)?;
-        let solution = bake::solve(backend.as_mut(), &texels, &quality, &checkpoints, session.console)?;
+        let solution = bake::solve(backend.as_mut(), &texels, &quality, &checkpoints, session.console)
+            .inspect_err(|e| goes_on(e, &checkpoints, &self.partial(), session))?;
         self.write(&solution, &texels, session)?;
         let (buried, valid, rays) = (solution.buried()?, texels.valid(), solution.rays);
         drop((solution, texels));

@@ -151,10 +151,15 @@ impl Demo {
         let made = fresh.path().join(CAPTURE);
         demo::write(flat, &rendered, &made, session.console)?;
         std::fs::write(made.join(RECIPE), recipe).map_err(failed)?;
+        let earlier = fresh.path().join("earlier");
         if folder.exists() {
-            std::fs::rename(folder, fresh.path().join("earlier")).map_err(failed)?;
+            std::fs::rename(folder, &earlier).map_err(failed)?;
         }
-        std::fs::rename(&made, folder).map_err(failed)
+        std::fs::rename(&made, folder).map_err(|e| {
+            // What was there comes back, if it can.
+            std::fs::rename(&earlier, folder).ok();
+            failed(e)
+        })
     }
 }
 

@@ -14,7 +14,7 @@ use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 use texir_core::text_file::read_text;
 
-use super::Session;
+use super::{Session, rays};
 use crate::device;
 use crate::failure::{Context, Failure};
 use crate::figures;
@@ -36,7 +36,7 @@ pub struct Eval {
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
     /// Rays per pixel, for its highlights; at least 96
-    #[arg(long, default_value_t = RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
 }
 

@@ -15,7 +15,7 @@ use texir_core::outputs::{CORRECTIONS, FitOutput, LOG, REPORT, ROOMS, RUN, Run, 
 use texir_core::scene::Scene;
 
 use super::corrections::CorrectionArgs;
-use super::{CaptureArgs, Session, check_folder, describe, eval, report};
+use super::{CaptureArgs, Session, bytes, check_folder, describe, eval, goes_on, report};
 use crate::args::Config;
 use crate::device;
 use crate::failure::Failure;
@@ -39,7 +39,7 @@ pub struct Fit {
     metallic: bool,
     /// What the fit may have in memory, such as 2GiB; views are read at a lower resolution to keep to it [default:
     /// 8GiB]
-    #[arg(long, value_name = "SIZE")]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
     max_memory: Option<ByteSize>,
     /// Leave out the evaluation and the report
     #[arg(long)]
@@ -126,10 +126,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?, session.console)?;
     let FitResult { textures, confidence, tbl, plan, timings } =
         fit::fit(backend.as_mut(), capture, fitting, &checkpoints, session.console, &mut |epoch| log.push(*epoch))
-            .inspect_err(|_| match checkpoints.any() {
-                true => session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display())),
-                false => checkpoints.clone().finish(),
-            })?;
+            .inspect_err(|e| goes_on(e, &checkpoints, &partial, session))?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),
@@ -138,7 +135,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     };
     drop(backend);
     let output = FitOutput { mesh: capture.mesh.clone(), tbl, textures, confidence };
-    let folder = staging.folder();
+    let folder = &staging.folder();
     output.save(folder)?;
     output.write_scene(&folder.join(SCENE))?;
     let cameras: Vec<_> = capture.views.iter().map(|v| v.camera.position()).collect();

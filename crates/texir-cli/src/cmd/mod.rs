@@ -19,10 +19,15 @@ mod tbl;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use bytesize::ByteSize;
+use clap::builder::RangedI64ValueParser;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use texir_core::atlas::LARGEST_SIDE;
+use texir_core::backend::MOST_SAMPLES;
 use texir_core::capture::{self, Capture, LoadOptions, Split};
+use texir_core::checkpoint::Checkpoints;
+use texir_core::error::Error;
 use texir_core::render::Textures;
 
 use crate::args::Config;
@@ -105,6 +110,28 @@ pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
         Command::Export(command) => command.run(session),
         Command::Report(command) => command.run(session),
         Command::Bench(command) => command.run(session),
+    }
+}
+
+/// A size of memory, as options have it.
+fn bytes(text: &str) -> Result<ByteSize, String> {
+    text.parse().map_err(|_| "expected a number with its unit, such as 512MiB, 2GiB or 1.5GB".to_owned())
+}
+
+/// Rays of a texel or a pixel, as options have them: the error of more is far below what images can tell.
+fn rays() -> RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=i64::from(MOST_SAMPLES))
+}
+
+/// What becomes of kept steps after an error: it is said where they are when a run was stopped; nothing stays where none
+/// is kept.
+fn goes_on(e: &Error, checkpoints: &Checkpoints, partial: &Path, session: &Session<'_>) {
+    match (checkpoints.any(), e) {
+        (false, _) => checkpoints.clone().finish(),
+        (true, Error::Cancelled) => {
+            session.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display()));
+        }
+        (true, _) => {}
     }
 }
 

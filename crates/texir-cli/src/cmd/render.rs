@@ -11,7 +11,7 @@ use texir_core::progress::Progress;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
-use super::{Session, check_folder, eval};
+use super::{Session, check_folder, eval, rays};
 use crate::device;
 use crate::failure::Failure;
 
@@ -30,7 +30,7 @@ pub struct Render {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Rays per pixel, for its highlights; at least 96
-    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
     /// Brightness of the previews, in stops
     #[arg(long, default_value_t = 0.0, value_name = "EV", value_parser = stops, allow_negative_numbers = true)]

@@ -8,7 +8,7 @@ use texir_core::capture::Capture;
 use texir_core::eval::Evaluation;
 use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, SETTINGS};
 
-use super::{Session, describe, describe_textures, eval};
+use super::{Session, describe, describe_textures, eval, rays};
 use crate::console::seconds;
 use crate::failure::Failure;
 use crate::figures;
@@ -23,7 +23,7 @@ pub struct Report {
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
     /// Rays per pixel, for its highlights; at least 96
-    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
 }
 

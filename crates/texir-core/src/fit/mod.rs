@@ -13,7 +13,7 @@ mod lit_square;
 pub mod memory;
 mod paper;
 pub mod settings;
-mod told;
+mod warnings;
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
@@ -170,7 +170,7 @@ pub fn fit(
     }
     let mut emission = padded(&emitted((&tbl.radiance, &emitters), &materials), &atlas);
     let Materials { albedo, roughness, metallic, mut irradiance, diffuse, masking, confidence } = materials;
-    if let Some(what) = told::too_bright(&albedo, &emitters, &tbl) {
+    if let Some(what) = warnings::too_bright(&albedo, &emitters, &tbl) {
         progress.warn(&format!("{}: {what}", capture.root.display()));
     }
     // Back in the capture's unit; powers of two are exact.

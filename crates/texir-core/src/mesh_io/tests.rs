@@ -56,6 +56,13 @@ fn obj_polygons_objects_and_materials_become_one_mesh_with_v_down() {
     assert_eq!(mesh.positions.len(), 4, "corners with equal indices are one vertex");
     assert!(warnings.is_empty(), "{warnings:?}");
 
+    for end in ["\n", "\r\n", ""] {
+        let continued = format!("{OBJ}f 1/1/1 2/2/1 \\\r\n3/3/1 \\\n  4/4/1{end}");
+        assert_eq!(soup(&read_text("a.obj", continued).unwrap().mesh), soup(&square()), "ended by {end:?}");
+    }
+    let error = message(read_text("a.obj", format!("{OBJ}f 1/1/1 2/2/1 \\\n3/3/9\n")));
+    assert!(error.contains("line 12"), "{error}");
+
     let split =
         format!("mtllib none.mtl\n{OBJ}o a\nusemtl x\nf 1/1/1 2/2/1 3/3/1\no b\nusemtl y\nf 1/1/1 3/3/1 4/4/1\n");
     assert_eq!(soup(&read_text("a.obj", split).unwrap().mesh), soup(&square()));

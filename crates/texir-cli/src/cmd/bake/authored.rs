@@ -15,7 +15,7 @@ use texir_core::progress::Progress;
 use texir_core::scene::Scene;
 
 use super::Bake;
-use crate::cmd::{Session, check_outputs};
+use crate::cmd::{Session, check_outputs, goes_on};
 use crate::device;
 use crate::failure::{Context, Failure};
 
@@ -116,7 +116,8 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let bounces = Bounces { quality: bake.quality(session)?, tolerance, most: options.bounces.unwrap_or(BOUNCES) };
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
-    let solved = authored::irradiance(backend.as_mut(), &texels, &surfaces, &bounces, &checkpoints, session.console)?;
+    let solved = authored::irradiance(backend.as_mut(), &texels, &surfaces, &bounces, &checkpoints, session.console)
+        .inspect_err(|e| goes_on(e, &checkpoints, &bake.partial(), session))?;
     let unfinished = solved.unfinished(&model, tolerance, options.bounces.is_some());
     let (baked, console) = (&solved.solution, session.console);
     let unlit = authored::unlit(backend.as_mut(), &model, &texels, &surfaces, baked, console)?;

@@ -58,7 +58,7 @@ pub fn write(
 ) -> Result<Written> {
     check_vacant(out.as_ref())?;
     let stage = Stage::new(out.as_ref())?;
-    let out = stage.folder();
+    let out = &stage.folder();
     progress.start("import: views", import.shots.len() as u64, "views");
     let job = Job { out, options };
     let converted = |shot: &Shot| {

@@ -8,6 +8,7 @@
 //! segment's mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew between runs
 //! (iteratively re-weighted least squares).
 
+use std::borrow::Cow;
 use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{DVec3, DVec4, Vec3A, Vec4};
@@ -32,6 +33,16 @@ pub enum Roughness<'a> {
     Node(usize),
     /// One for each texel, interpolated between them.
     Texels(&'a [f32]),
+}
+
+/// Where the smoothness prior takes a step of albedo for an edge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edges {
+    /// Between any texels that differ. Roughness is sought by that: what highlights leave in albedo is to show.
+    OfTexels,
+    /// Where albedo differs without its specks: a texel that differs from all around it is noise until pixels say
+    /// otherwise.
+    WithoutSpecks,
 }
 
 /// What the pixels say about albedo at some roughness: κ_p π/E_p Σ_t w_t s_t a_t = albedo_p, where s_t is the texel's
@@ -238,23 +249,33 @@ impl<'a> AlbedoProblem<'a> {
 
     /// Improves `albedo` at a known roughness of every texel by `rounds` runs of the solver. A list that is given away
     /// is not kept in memory meanwhile.
-    pub fn solve_at(&self, albedo: &mut [Vec3A], roughness: impl AsRef<[f32]>, rounds: u32) {
+    pub fn solve_at(&self, albedo: &mut [Vec3A], roughness: impl AsRef<[f32]>, rounds: u32, edges: Edges) {
         let of_texels = Roughness::Texels(roughness.as_ref());
         let (target, sigma) = (self.target(&of_texels), self.noise_at(&of_texels));
         drop(roughness);
         let mut shown = self.shown(albedo);
-        self.solve((albedo, &mut shown), &target, &sigma, rounds, self.settings.iterations);
+        self.improve((albedo, &mut shown), (&target, &sigma), [rounds, self.settings.iterations], edges);
     }
 
     /// Improves `albedo`, and what is `shown` of it, for the given target by `rounds` runs of `iterations` steps of
     /// conjugate gradients.
     pub fn solve(
         &self,
-        (albedo, shown): (&mut [Vec3A], &mut [Vec3A]),
+        shown: (&mut [Vec3A], &mut [Vec3A]),
         target: &Target,
         sigma: &[f32],
         rounds: u32,
         iterations: u32,
+    ) {
+        self.improve(shown, (target, sigma), [rounds, iterations], Edges::OfTexels);
+    }
+
+    fn improve(
+        &self,
+        (albedo, shown): (&mut [Vec3A], &mut [Vec3A]),
+        (target, sigma): (&Target, &[f32]),
+        [rounds, iterations]: [u32; 2],
+        edges: Edges,
     ) {
         for _ in 0..rounds {
             let base = self.settings.noise;
@@ -263,7 +284,7 @@ impl<'a> AlbedoProblem<'a> {
                 (base / s).powi(2) / (1.0 + e.length_squared() / 3.0 / (2.0 * s).powi(2))
             };
             let weight = sigma.par_iter().enumerate().with_min_len(BLOCK).map(weight).collect();
-            let system = System { problem: self, target, weight, edges: self.edge_weights(albedo) };
+            let system = System { problem: self, target, weight, edges: self.edge_weights(albedo, edges) };
             conjugate_gradients(&system, (albedo, shown), iterations);
             albedo.par_iter_mut().for_each(|a| *a = a.clamp(Vec3A::ZERO, Vec3A::ONE));
             let shows = |(p, shown): (usize, &mut Vec3A)| *shown = self.shows(albedo, p);
@@ -271,10 +292,13 @@ impl<'a> AlbedoProblem<'a> {
         }
     }
 
-    /// λ/(1 + |Δa|²/s²) to the right and to the lower neighbour; 0 across segments. Edges are those of albedo without
-    /// specks: a texel that differs from all around it is noise until pixels say otherwise.
-    fn edge_weights(&self, albedo: &[Vec3A]) -> Vec<[f32; 2]> {
-        let (smoothness, albedo) = (self.settings.smoothness, self.without_specks(albedo));
+    /// λ/(1 + |Δa|²/s²) to the right and to the lower neighbour; 0 across segments.
+    fn edge_weights(&self, albedo: &[Vec3A], edges: Edges) -> Vec<[f32; 2]> {
+        let smoothness = self.settings.smoothness;
+        let albedo = match edges {
+            Edges::OfTexels => Cow::Borrowed(albedo),
+            Edges::WithoutSpecks => Cow::Owned(self.without_specks(albedo)),
+        };
         let of_texel = |t: usize| self.steps(&albedo, t).map(|step| step.map_or(0.0, |step| smoothness / (1.0 + step)));
         (0..albedo.len()).into_par_iter().map(of_texel).collect()
     }

@@ -9,11 +9,10 @@ mod albedo;
 mod automatic;
 mod bands;
 mod blocks;
+mod board_ends;
 mod borders;
 mod colours;
-mod comb;
 mod confidence;
-mod ends;
 mod hidden;
 mod hierarchy;
 mod joints;
@@ -26,6 +25,7 @@ mod nodes;
 mod observations;
 mod own;
 mod palette;
+mod periodic_lines;
 mod reflections;
 mod regular;
 mod rims;
@@ -43,7 +43,7 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::adjacency::NONE;
-use super::{Ground, Materials, diffused, outside, told};
+use super::{Ground, Materials, diffused, outside, warnings};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
@@ -54,7 +54,7 @@ use crate::fit::settings::{FullSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
-use albedo::AlbedoProblem;
+use albedo::{AlbedoProblem, Edges};
 use joints::{Judges, Lines};
 use labels::Labels;
 use local::Surface;
@@ -96,7 +96,7 @@ pub fn fit(
         let observer = Observer { atlas, emitters, settings, seed, checkpoints };
         let seen = observer.observe(backend, training, progress)?;
         if round == 0 {
-            told::little_seen(atlas, &backend.scene().mesh, &seen.is_seen)
+            warnings::little_seen(atlas, &backend.scene().mesh, &seen.is_seen)
                 .into_iter()
                 .for_each(|what| progress.warn(&what));
         }
@@ -142,7 +142,7 @@ fn recover(
     // One roughness for each segment,
     let Scanned { diffuse, mut albedo, evidence, tallies, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
-    problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1);
+    problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1, Edges::OfTexels);
 
     // others for its colours, and where it has two finishes, of which pixels that see joints would make a mixture,
     let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints, progress)?;
@@ -165,12 +165,12 @@ fn recover(
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
     // Nothing from here on asks what pixels cost, a tenth of a large fit's memory.
     drop(evidence.cost);
-    problem.solve_at(&mut albedo, &roughness, 1);
+    problem.solve_at(&mut albedo, &roughness, 1, Edges::OfTexels);
 
     // and one for its joints.
     let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
     let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
-    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds);
+    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds, Edges::WithoutSpecks);
 
     // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by
     // blurring.

@@ -5,9 +5,9 @@
 
 use rayon::prelude::*;
 
-use super::comb::{Profile, Regular};
-use super::ends::{Ends, Strip};
+use super::board_ends::{Ends, Strip};
 use super::lines::{AXES, Covered, Line, Paint};
+use super::periodic_lines::{Profile, Regular};
 use crate::error::Result;
 use crate::progress::Progress;
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3, Vec3A};
 
-use super::albedo::{AlbedoProblem, Roughness};
+use super::albedo::{AlbedoProblem, Edges, Roughness};
 use super::hierarchy::{Parent, settle};
 use super::joints::{self, Judges, Lines};
 use super::observations::Observations;
@@ -696,7 +696,7 @@ fn every_view_has_curves_of_its_own() {
 fn solved(toy: &Toy, settings: &AlbedoSettings) -> Vec<Vec3A> {
     let problem = toy.problem(settings);
     let mut albedo = problem.start();
-    problem.solve_at(&mut albedo, vec![0.3; toy.segment.len()], 4);
+    problem.solve_at(&mut albedo, vec![0.3; toy.segment.len()], 4, Edges::WithoutSpecks);
     albedo
 }
 

@@ -67,6 +67,16 @@ impl<R: BufRead> Lines<R> {
             return self.wrong_index().map_or(Ok(()), |wrong| Err(Error::other(wrong)));
         }
         self.number += 1;
+        // A line that ends in a backslash goes on in the next.
+        while let Some(rest) = self.line.trim_ascii_end().strip_suffix(b"\\") {
+            let end = rest.len();
+            self.line.truncate(end);
+            self.line.push(b' ');
+            if self.reader.read_until(b'\n', &mut self.line)? == 0 {
+                self.line.push(b'\n');
+            }
+            self.number += 1;
+        }
         let first = self.line.split(u8::is_ascii_whitespace).find(|word| !word.is_empty()).unwrap_or_default();
         if first.starts_with(b"#") || NAMING.contains(&first) {
             self.line = String::from_utf8_lossy(&self.line).into_owned().into_bytes();
