@@ -36,10 +36,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Builds the hierarchy. Errors on a mesh that is not [whole](Mesh::check), has more than 2²⁷ triangles, or
-    /// vertices that are nowhere near it. One that is far from the origin is none, though its light will be wrong: ask
-    /// [`Mesh::misplaced`].
-    pub fn new(mesh: Mesh) -> Result<Self> {
+    /// Errors on a mesh of which there can be no scene: see [`Scene::new`].
+    pub fn check(mesh: &Mesh) -> Result<()> {
         mesh.check()?;
         if mesh.triangles.len() > MOST_TRIANGLES {
             return Err(Error::invalid(format!(
@@ -54,6 +52,14 @@ impl Scene {
                 "the mesh has a vertex at {p}; expected coordinates up to {FARTHEST:e} m: is the file damaged, or in other units?"
             )));
         }
+        Ok(())
+    }
+
+    /// Builds the hierarchy. Errors on a mesh that is not [whole](Mesh::check), has more than 2²⁷ triangles, or
+    /// vertices that are nowhere near it. One that is far from the origin is none, though its light will be wrong: ask
+    /// [`Mesh::misplaced`].
+    pub fn new(mesh: Mesh) -> Result<Self> {
+        Self::check(&mesh)?;
         let triangles: Vec<Triangle> = (0..mesh.triangles.len() as u32)
             .map(|t| {
                 let [a, b, c] = mesh.corners(t);

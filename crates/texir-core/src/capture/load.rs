@@ -12,6 +12,7 @@ use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
 use crate::mesh_io::{atlas_report, read_mesh};
 use crate::progress::Progress;
+use crate::scene::Scene;
 
 /// Looked for in this order.
 const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
@@ -62,6 +63,7 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
     let file = read_mesh(&mesh_path)?;
     file.warnings.iter().for_each(|w| progress.warn(w));
     let mesh = file.mesh;
+    Scene::check(&mesh).map_err(|e| Error::file(&mesh_path, e))?;
     warn_about_atlas(&mesh_path, &mesh, progress);
     warn_about_positions(&root, &views, &mesh, progress);
     warn_about_axes(&root, &views, progress);
