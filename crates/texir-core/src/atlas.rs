@@ -129,9 +129,9 @@ pub(crate) fn map(
     )))
 }
 
-/// Rows of a map, in bands of about `texels` texels.
-pub(crate) fn bands(width: usize, height: usize, texels: usize) -> impl Iterator<Item = Range<usize>> {
-    let rows = (texels / width.max(1)).max(1);
+/// Rows of a map or a view, in bands of about `items` items, of which each row has `width`.
+pub(crate) fn bands(width: usize, height: usize, items: usize) -> impl Iterator<Item = Range<usize>> {
+    let rows = (items / width.max(1)).max(1);
     (0..height).step_by(rows).map(move |row| row..(row + rows).min(height))
 }
 
@@ -238,10 +238,12 @@ impl TexelIndex {
         (texel != Self::EMPTY).then_some(texel)
     }
 
-    /// The valid texel that `uv` lies in.
+    /// The valid texel that `uv` lies in, which the last one does at 1.
     pub fn nearest(&self, uv: Vec2) -> Option<u32> {
-        let p = (uv * Vec2::new(self.width as f32, self.height as f32)).floor();
-        self.at(p.x as i64, p.y as i64)
+        let size = Vec2::new(self.width as f32, self.height as f32);
+        let p = (uv * size).floor().min(size - 1.0);
+        let inside = uv.cmpge(Vec2::ZERO).all() && uv.cmple(Vec2::ONE).all();
+        if inside { self.at(p.x as i64, p.y as i64) } else { None }
     }
 
     /// Bilinear shares of the valid texels around `uv`; they are not normalised.
@@ -277,6 +279,9 @@ mod tests {
         };
         let atlas = Atlas::new(&mut CpuBackend::new(Scene::new(mesh).unwrap()), 4, 4).unwrap();
         let index = TexelIndex::new(&atlas);
+        let column = |u: f32| index.nearest(Vec2::new(u, 0.5)).map(|texel| atlas.texels[texel as usize] % 4);
+        assert_eq!([0.0, 0.24, 0.26, 0.99, 1.0].map(column), [0, 0, 1, 3, 3].map(Some));
+        assert_eq!([-0.01, 1.01, f32::NAN].map(column), [None; 3]);
         // Every texel holds its column, or its row.
         let place = |tap: &Tap| [atlas.texels[tap.texel as usize] % 4, atlas.texels[tap.texel as usize] / 4];
         for (uv, expected) in [

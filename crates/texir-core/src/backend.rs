@@ -36,7 +36,7 @@ pub struct Sampling {
     pub seed: u32,
 }
 
-/// Samples of a kind at a point at most: further ones are lost to single precision.
+/// The most samples of one technique at a point: sums in single precision gain nothing from more.
 pub const MOST_SAMPLES: u32 = 1 << 20;
 
 /// The strongest radiance that lighting may have: of more, squares leave single precision.

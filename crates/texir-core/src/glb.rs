@@ -285,7 +285,7 @@ impl Builder {
 }
 
 impl Materials<'_> {
-    /// Which texels of the maps of some size any of them holds something at: those of charts, and around them.
+    /// The texels where any map of this size is not zero: those of charts, and around them.
     fn charts(&self, size: (usize, usize)) -> Vec<bool> {
         let of_rgb = |map: &&Rgb| map.data.iter().map(|v| *v != [0.0; 3]).collect::<Vec<_>>();
         let of_gray = |map: &&Gray| map.data.iter().map(|v| *v != 0.0).collect::<Vec<_>>();

@@ -64,7 +64,7 @@
 //! | `capture`, `tbl`, `fit`, `eval`, `render`, `outputs`, `lightmap`, `hdr`, `image_io`, `mesh_io`, … (`files`) | from photos to materials |
 //! | [`real`], [`rng`], [`neighbours`] | what the others are made of |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
-// What modules that are left out have alone use of.
+// Items that only modules behind `files` use.
 #![cfg_attr(not(feature = "files"), allow(dead_code))]
 
 pub mod atlas;

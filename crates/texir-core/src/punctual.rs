@@ -69,7 +69,7 @@ impl PunctualLight {
             return Ok(());
         }
         Err(Error::invalid(format!(
-            "its intensity, by its colour, is {:?}, its range {}, its place {:?}, its direction {:?}, its cone {} and {}; expected \
+            "its intensity times its colour is {:?}, its range {}, its place {:?}, its direction {:?}, its cone {} and {}; expected \
              finite numbers, intensity and range positive, a direction of length 1, \
              and `distant` 0 or 1",
             self.intensity,

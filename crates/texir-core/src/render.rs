@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, bands};
 use crate::backend::{Backend, ShadePoint};
 use crate::brdf::{self, DIELECTRIC_F0, Masking};
 use crate::camera::Camera;
@@ -159,7 +159,7 @@ impl<'a> Renderer<'a> {
         let (mut albedo, mut irradiance, mut emission) = (rgb(), rgb(), rgb());
         let mut hits = Vec::with_capacity(camera.pixels());
         let mut roughness = Vec::with_capacity(camera.pixels());
-        for rows in bands(height, width) {
+        for rows in bands(width, height, CHUNK) {
             let band = self.backend.primary(camera, rows)?;
             for seen in band.par_iter().map(seen).collect::<Vec<Seen>>() {
                 albedo.push(seen.albedo);
@@ -197,7 +197,7 @@ impl<'a> Renderer<'a> {
         textures.iter().try_for_each(|textures| textures.check(&scene))?;
         let metals = textures.iter().any(|textures| textures.is_metal());
         let mut radiance = [(); N].map(|()| Rgb::filled(camera.width, camera.height, [0.0; 3]));
-        for rows in bands(camera.height, ALL * camera.width) {
+        for rows in bands(ALL * camera.width, camera.height, CHUNK) {
             progress.check()?;
             let first = rows.start * SUB_PIXELS * fine.width;
             let hits = self.backend.primary(&fine, rows.start * SUB_PIXELS..rows.end * SUB_PIXELS)?;
@@ -263,12 +263,6 @@ impl<'a> Renderer<'a> {
         self.pyramids.push(pyramid.clone());
         Ok(pyramid)
     }
-}
-
-/// The rows of a view in bands of about [`CHUNK`] items, of which a row has so many.
-fn bands(rows: usize, items: usize) -> impl Iterator<Item = Range<usize>> {
-    let band = (CHUNK / items.max(1)).max(1);
-    (0..rows).step_by(band).map(move |first| first..rows.min(first + band))
 }
 
 /// Pixels are numbered in 32 bits.

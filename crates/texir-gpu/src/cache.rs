@@ -45,7 +45,8 @@ impl<T: Pod> Cache<T> {
     }
 }
 
-/// Length and 128 bits of hash: two different arrays of one program do not share it.
+/// Length and 128 bits of hash, all of which every byte has a say in: two different arrays of one program do not share
+/// it.
 type Fingerprint = (usize, [u64; 2]);
 
 /// Hashes eight independent words at a time by folded multiplication, at about the speed of reading.
@@ -68,8 +69,9 @@ fn fingerprint(bytes: &[u8]) -> Fingerprint {
     let mut last = [0; 64];
     last[..rest.len()].copy_from_slice(rest);
     absorb(&last);
-    let half = |lanes: &[u64]| lanes.iter().fold(bytes.len() as u64, |h, &l| fold(h ^ l, ODD).wrapping_add(l));
-    (bytes.len(), [half(&lanes[..4]), half(&lanes[4..])])
+    let join = |h: u64, lane: &u64| fold(h ^ lane, ODD).wrapping_add(*lane);
+    let start = bytes.len() as u64;
+    (bytes.len(), [lanes.iter().fold(start, join), lanes.iter().rev().fold(start, join)])
 }
 
 #[cfg(test)]

@@ -189,7 +189,7 @@ fn textures_of_wrong_sizes_or_scenes_are_errors() {
 #[test]
 fn bands_have_every_row_once_and_little_in_them() {
     for (rows, items) in [(7, CHUNK / 3), (5, 2 * CHUNK), (1, 1), (1000, 4096), (3, 0)] {
-        let bands: Vec<Range<usize>> = bands(rows, items).collect();
+        let bands: Vec<Range<usize>> = bands(items, rows, CHUNK).collect();
         assert!(bands.iter().cloned().flatten().eq(0..rows), "{bands:?}");
         assert!(bands.iter().all(|band| band.len() == 1 || band.len() * items <= CHUNK), "{bands:?}");
     }

@@ -100,7 +100,10 @@ pub fn fit(
                 .into_iter()
                 .for_each(|what| progress.warn(&what));
         }
-        let materials = recover(ground, &irradiance, &labels, &seen, settings, progress)?;
+        // What the next round's light is made of keeps its specks: its roughness came out worse without.
+        let is_last = round + 1 == rounds.len();
+        let edges = if is_last { Edges::WithoutSpecks } else { Edges::OfTexels };
+        let materials = recover(ground, &irradiance, (&labels, &seen), settings, edges, progress)?;
         let sent = diffused::radiance(atlas, ground.tbl, &materials, emitters, &seen.is_seen);
         drop(seen);
         // One scan for each diffuse model is enough.
@@ -126,9 +129,9 @@ fn of_texels(map: &Rgb, atlas: &Atlas) -> Vec<Vec3A> {
 fn recover(
     ground: &Ground<'_>,
     irradiance: &[Vec3A],
-    labels: &Labels,
-    seen: &Observations,
+    (labels, seen): (&Labels, &Observations),
     settings: &FullSettings,
+    edges: Edges,
     progress: &dyn Progress,
 ) -> Result<Materials> {
     let Ground { atlas, texel, adjacency, plan, .. } = *ground;
@@ -170,7 +173,7 @@ fn recover(
     // and one for its joints.
     let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
     let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
-    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds, Edges::WithoutSpecks);
+    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds, edges);
 
     // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by
     // blurring.
