@@ -120,8 +120,10 @@ mod tests {
         for nv in [0.1, 0.2, 0.5, 1.0] {
             for r in [0.1, 0.5, 1.0] {
                 let [found, expected] = [f64::from(DiffuseModel::Burley.factor(nv, r)), integral(nv.into(), r.into())];
+                // The table is coarse towards the rim.
+                let bound = if nv == 1.0 { 1e-3 } else { 0.01 };
                 assert!(
-                    (found / expected - 1.0).abs() < 0.01,
+                    (found / expected - 1.0).abs() < bound,
                     "at a cosine of {nv}, roughness {r}: {found} for {expected}"
                 );
             }

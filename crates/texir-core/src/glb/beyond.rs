@@ -71,6 +71,16 @@ mod tests {
             quarters.iter().zip([0.25, 0.4, 0.25, 0.4]).all(|(found, mean)| (found - mean).abs() < 1e-6),
             "{quarters:?}"
         );
+        // Every texel of the first mip that holds some of a chart is the mean of that.
+        for corner in (0..height).step_by(2).flat_map(|y| (0..width).step_by(2).map(move |x| [x, y])) {
+            let cells = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[dx, dy]| [corner[0] + dx, corner[1] + dy]);
+            let inside: Vec<usize> =
+                cells.iter().filter(|[x, y]| *x < width && *y < height).map(|[x, y]| y * width + x).collect();
+            let all = mean(inside.iter().map(|k| map.data[*k])).unwrap();
+            if let Some(charts) = mean(inside.iter().filter_map(|k| value(*k))) {
+                assert!(near(all, charts), "{all:?} {charts:?}");
+            }
+        }
         // Nothing is known.
         assert!(filled(&map, &vec![false; width * height]).data.iter().all(|v| *v == [0.0; 2]));
     }

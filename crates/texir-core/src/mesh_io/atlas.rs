@@ -92,7 +92,7 @@ fn for_texel_centres(uvs: [Vec2; 3], size: usize, mut visit: impl FnMut(usize, b
     let end = |high: f64| ((high - 0.5).floor() + 1.0).clamp(0.0, size as f64) as usize;
     for y in first(low.y)..end(high.y) {
         let (mut left, mut right) = (low.x, high.x);
-        // Where the row enters and leaves the triangle, with a texel to spare for rounding.
+        // Where the row enters and leaves the triangle, with a texel to spare for rounding; by a level edge, at ±∞.
         for (from, to) in edges {
             let rise = to.y - from.y;
             let x = from.x + (y as f64 + 0.5 - from.y) * (to.x - from.x) / rise;

@@ -88,6 +88,10 @@ fn standard_errors_are_those_that_estimates_have() {
             let told = squares(&|i| errors[i]) / squares(&|i| known.luminance(i) - noisy.truth[i]);
             assert!((0.85..1.15).contains(&told), "standard errors are {told} times the errors");
             let allowed = |i: usize| TARGET * 1.3 * known.luminance(i).max(known.floor);
+            let all_missed = (0..n).filter(|&i| errors[i] > allowed(i)).count();
+            let capped = (0..n).filter(|&i| known.rays[i] == GATHER.cosine).count();
+            assert!(all_missed <= capped, "{all_missed} texels missed the target, {capped} of them had all rays");
+            // Of those that stopped before, few miss it.
             let stopped = || (0..n).filter(|&i| known.rays[i] < GATHER.cosine);
             let missed = stopped().filter(|&i| errors[i] > allowed(i)).count();
             assert_eq!(stopped().count() > 0, error > 0.0);

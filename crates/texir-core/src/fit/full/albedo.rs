@@ -254,27 +254,17 @@ impl<'a> AlbedoProblem<'a> {
         let (target, sigma) = (self.target(&of_texels), self.noise_at(&of_texels));
         drop(roughness);
         let mut shown = self.shown(albedo);
-        self.improve((albedo, &mut shown), (&target, &sigma), [rounds, self.settings.iterations], edges);
+        self.solve((albedo, &mut shown), (&target, &sigma), rounds, self.settings.iterations, edges);
     }
 
     /// Improves `albedo`, and what is `shown` of it, for the given target by `rounds` runs of `iterations` steps of
     /// conjugate gradients.
     pub fn solve(
         &self,
-        shown: (&mut [Vec3A], &mut [Vec3A]),
-        target: &Target,
-        sigma: &[f32],
-        rounds: u32,
-        iterations: u32,
-    ) {
-        self.improve(shown, (target, sigma), [rounds, iterations], Edges::OfTexels);
-    }
-
-    fn improve(
-        &self,
         (albedo, shown): (&mut [Vec3A], &mut [Vec3A]),
         (target, sigma): (&Target, &[f32]),
-        [rounds, iterations]: [u32; 2],
+        rounds: u32,
+        iterations: u32,
         edges: Edges,
     ) {
         for _ in 0..rounds {

@@ -9,7 +9,7 @@
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::albedo::{AlbedoProblem, Roughness};
+use super::albedo::{AlbedoProblem, Edges, Roughness};
 use super::lines::{Covered, Line, Paint};
 use super::own::{self, Said};
 use super::scan::{Tally, cost};
@@ -255,7 +255,7 @@ fn scan(
         }
         let target = problem.target(&Roughness::Texels(&with));
         let (mut albedo, mut shown) = (albedo.to_vec(), before.clone());
-        problem.solve((&mut albedo, &mut shown), &target, &sigma, 1, settings.iterations);
+        problem.solve((&mut albedo, &mut shown), (&target, &sigma), 1, settings.iterations, Edges::OfTexels);
         for (p, (group, share)) in sees.iter().enumerate().filter(|(_, (group, _))| *group != NONE) {
             let say = f64::from(share * judges.say[p]);
             let residual = problem.residual(&shown, &target, p);

@@ -9,7 +9,7 @@ use glam::Vec3A;
 use half::f16;
 use rayon::prelude::*;
 
-use super::albedo::{AlbedoProblem, Roughness};
+use super::albedo::{AlbedoProblem, Edges, Roughness};
 use super::nodes::{self, Between};
 use super::sums;
 use super::variation;
@@ -220,7 +220,7 @@ pub fn scan(
         });
         // From then on, every node begins beside its solution. The first must not look worse for its start.
         let rounds = if rougher.is_none() { FIRST_ROUNDS } else { 1 };
-        problem.solve((albedo, &mut shown), &target, &sigma, rounds, settings.iterations);
+        problem.solve((albedo, &mut shown), (&target, &sigma), rounds, settings.iterations, Edges::OfTexels);
         let residual = |p: usize| problem.residual(&shown, &target, p);
         variation.iter_mut().zip(problem.variation(albedo, &told)).for_each(|(variation, mean)| variation[k] = mean);
         let nuisance = grazing_terms(problem, &segment, residual, &sigma);

@@ -244,7 +244,7 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
             let sigma = problem.noise(settings.albedo.image_noise);
             let mut shown = problem.shown(&scanned.albedo);
             let target = problem.target(&Roughness::Texels(&r));
-            problem.solve((&mut scanned.albedo, &mut shown), &target, &sigma, 3, 25);
+            problem.solve((&mut scanned.albedo, &mut shown), (&target, &sigma), 3, 25, Edges::OfTexels);
             (problem.metal.get(floor).copied().unwrap_or(false), r[0], scanned.albedo[floor])
         };
         let (is_metal, r, albedo) = metal(true);
@@ -268,7 +268,7 @@ fn least_squares_recovers_albedo_beside_highlights() {
         let mut albedo = problem.start();
         let mut shown = problem.shown(&albedo);
         let target = problem.target(&Roughness::Texels(&vec![r; toy.segment.len()]));
-        problem.solve((&mut albedo, &mut shown), &target, &sigma, 3, 25);
+        problem.solve((&mut albedo, &mut shown), (&target, &sigma), 3, 25, Edges::OfTexels);
         let seen = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
         seen.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max)
     };
@@ -329,7 +329,13 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let target = problem.target(&Roughness::Texels(&surface));
         let mut albedo = problem.start();
         let mut shown = problem.shown(&albedo);
-        problem.solve((&mut albedo, &mut shown), &target, &problem.noise(settings.image_noise), 2, 25);
+        problem.solve(
+            (&mut albedo, &mut shown),
+            (&target, &problem.noise(settings.image_noise)),
+            2,
+            25,
+            Edges::OfTexels,
+        );
         let pixels = toy.seen.len();
         // Every view sees each of the floor's texels once.
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
