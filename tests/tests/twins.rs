@@ -9,14 +9,15 @@ use texir_core::backend::{
     ShadePoint, Shaded,
 };
 use texir_core::camera::Camera;
+use texir_core::cpu::lighting::Lighting;
 use texir_core::cpu::shade::{MaterialIn, ShadedIn};
-use texir_core::cpu::trace::{Exhaustive, Lighting, TraceHit};
 use texir_core::cpu::{group_loss, irradiance, lookup, primary, project, radiance_loss, shade, shade_vjp, texels};
 use texir_core::lights::Lights;
 use texir_core::progress::Silent;
 use texir_core::real::V3;
 use texir_core::rng::{hash, hash2, sobol2};
 use texir_core::scene::Scene;
+use texir_core::scene::trace::{Exhaustive, TraceHit};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::{Footprints, Pyramid, Rows, Tap};
 use texir_gpu::GpuBackend;

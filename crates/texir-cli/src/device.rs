@@ -7,7 +7,7 @@ use texir_core::cpu::CpuBackend;
 use texir_core::scene::Scene;
 use texir_gpu::{Gpu, GpuBackend};
 
-use crate::args::{BackendChoice, Config};
+use crate::config::{BackendChoice, Config};
 use crate::console::Console;
 use crate::failure::{Context, Failure};
 

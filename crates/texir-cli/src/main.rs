@@ -2,21 +2,37 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod args;
+mod checks;
 mod cmd;
+mod config;
 mod console;
 mod device;
 mod failure;
 mod figures;
 mod report;
+mod session;
 
 use std::process::ExitCode;
 
 use clap::Parser;
 
-use crate::args::{Cli, Config};
-use crate::cmd::Session;
+use crate::cmd::Command;
+use crate::config::{Common, Config};
 use crate::console::{Console, Verbosity};
 use crate::failure::Failure;
+use crate::session::Session;
+
+/// Materials and light from posed HDR images of a scanned scene.
+#[derive(Debug, Parser)]
+#[command(name = "texir", version, propagate_version = true, max_term_width = 100)]
+struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    command: Command,
+    /// Options of every command.
+    #[command(flatten)]
+    common: Common,
+}
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -45,4 +61,16 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     let result = cmd::run(&cli.command, &session);
     console.clear();
     result
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
 }

@@ -16,6 +16,9 @@ use crate::texture::{Pyramid, Tap};
 /// the room.
 const OFF_EDGE: f32 = 1e-3;
 
+/// Side of an atlas, texels, where nothing says; overlaps of charts are looked for at this size.
+pub const DEFAULT_SIDE: usize = 1024;
+
 /// Largest side of an atlas, texels: beyond it, no graphics card holds the texture, and readers of images refuse it.
 pub const LARGEST_SIDE: usize = 16_384;
 

@@ -339,11 +339,11 @@ mod tests {
     use std::collections::HashSet;
 
     use super::*;
-    use crate::cpu::trace::{Trace, TraceHit};
     use crate::progress::{Impatient, Silent};
     use crate::real::V3;
     use crate::rng::hash;
     use crate::scene::Scene;
+    use crate::scene::trace::{Trace, TraceHit};
 
     /// `n` × `n` squares from −1 to 1, bent by `place`; vertices are there once per square.
     fn patch(mesh: &mut Mesh, n: u32, place: impl Fn(f32, f32) -> Vec3) {

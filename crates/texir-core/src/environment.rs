@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::distribution::{CONTRAST, cumulative, invert};
 use crate::error::{Error, Result};
-use crate::lights::{CONTRAST, cumulative, invert};
 use crate::raster::{Rgb, luminance};
 use crate::real::{Real, V3};
 

@@ -87,6 +87,7 @@ pub mod denoise;
 pub mod diffuse;
 #[cfg(feature = "files")]
 mod disjoint_sets;
+mod distribution;
 pub mod environment;
 pub mod error;
 #[cfg(feature = "files")]
@@ -99,7 +100,6 @@ mod fuzz;
 pub mod glb;
 #[cfg(feature = "files")]
 pub mod hdr;
-mod hierarchy;
 #[cfg(feature = "files")]
 pub mod image_io;
 #[cfg(feature = "files")]
@@ -120,6 +120,7 @@ pub mod outputs;
 pub mod progress;
 pub mod punctual;
 pub mod raster;
+pub mod ray_origin;
 pub mod real;
 #[cfg(feature = "files")]
 pub mod render;

@@ -6,7 +6,7 @@ use std::hash::Hash;
 use glam::{Vec2, Vec3};
 
 use crate::error::{Error, Result};
-use crate::surface::offset_origin;
+use crate::ray_origin::offset_origin;
 
 /// Rays may start off a surface by this share of the mesh's size.
 const LARGEST_STEP: f32 = 1e-3;

@@ -6,13 +6,14 @@ use std::time::{Duration, Instant};
 use glam::{Vec2, Vec3};
 use uvunwrap::{Density, MeshInput, Options, Stage};
 
+use crate::atlas::DEFAULT_SIDE;
 use crate::bake::PADDING;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 
 /// Sides of atlases that a mesh is unwrapped for, texels: the first on which its charts have room.
-const SIDES: [usize; 3] = [crate::tbl::DEFAULT_SIZE, 2 * crate::tbl::DEFAULT_SIZE, 4 * crate::tbl::DEFAULT_SIZE];
+const SIDES: [usize; 3] = [DEFAULT_SIDE, 2 * DEFAULT_SIDE, 4 * DEFAULT_SIDE];
 
 /// Texels that charts stay away from the borders of the atlas, half of what is between two of them.
 const MARGIN: usize = PADDING / 2;

@@ -152,7 +152,7 @@ impl Gpu {
 
     /// A kernel, compiled when it is first asked for.
     pub(crate) fn kernel(&self, spec: Spec) -> Result<Arc<Kernel>> {
-        self.kernels().get(self, spec)
+        self.kernels().get(&self.device, spec)
     }
 
     fn kernels(&self) -> std::sync::MutexGuard<'_, Kernels> {

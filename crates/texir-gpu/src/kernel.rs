@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use texir_core::error::{Error, Result};
 
-use crate::gpu::Gpu;
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Largest number of workgroups in one dimension of a dispatch that every adapter takes.
@@ -29,11 +28,11 @@ pub(crate) struct Spec {
 pub(crate) struct Kernels(HashMap<Spec, Arc<Kernel>>);
 
 impl Kernels {
-    pub fn get(&mut self, gpu: &Gpu, spec: Spec) -> Result<Arc<Kernel>> {
+    pub fn get(&mut self, device: &wgpu::Device, spec: Spec) -> Result<Arc<Kernel>> {
         if let Some(kernel) = self.0.get(&spec) {
             return Ok(kernel.clone());
         }
-        let kernel = Arc::new(Kernel::new(gpu, spec)?);
+        let kernel = Arc::new(Kernel::new(device, spec)?);
         self.0.insert(spec, kernel.clone());
         Ok(kernel)
     }
@@ -59,7 +58,7 @@ pub(crate) struct Kernel {
 }
 
 impl Kernel {
-    fn new(gpu: &Gpu, spec: Spec) -> Result<Self> {
+    fn new(device: &wgpu::Device, spec: Spec) -> Result<Self> {
         let label = format!("{}/{}", spec.shader, spec.entry);
         let composed = SHADERS.compose(spec.shader, spec.variant)?;
         let (slots, unused) = reflect(&composed, spec.entry)?;
@@ -68,7 +67,7 @@ impl Kernel {
             .map(|group| {
                 let entries: Vec<_> = slots.iter().filter(|s| s.group == group).map(|s| s.entry).collect();
                 let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(&label), entries: &entries };
-                gpu.device().create_bind_group_layout(&descriptor)
+                device.create_bind_group_layout(&descriptor)
             })
             .collect();
         let source = wgpu::ShaderSource::Wgsl(composed.source.into());
@@ -76,15 +75,15 @@ impl Kernel {
         let checks = wgpu::ShaderRuntimeChecks { force_loop_bounding: false, ..wgpu::ShaderRuntimeChecks::checked() };
         // SAFETY: all checks stay on but the one against endless loops, and every loop of these shaders ends: it counts
         // up to a bound, or consumes a finite hierarchy. The check is a counter in the hot loop of the traversal.
-        let module = unsafe { gpu.device().create_shader_module_trusted(descriptor, checks) };
+        let module = unsafe { device.create_shader_module_trusted(descriptor, checks) };
         let all: Vec<_> = layouts.iter().map(Some).collect();
-        let layout = gpu.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(&label),
             bind_group_layouts: &all,
             immediate_size: 0,
         });
         let constants: Vec<_> = spec.constant.iter().map(|&(name, value)| (name, f64::from(value))).collect();
-        let pipeline = gpu.device().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(&label),
             layout: Some(&layout),
             module: &module,
@@ -105,7 +104,11 @@ impl Kernel {
 
     /// Binds resources by variable name. Every variable of the entry point needs one; a name that the shader does not
     /// declare is an error, one that only other entry points use is passed over.
-    pub fn bind(&self, gpu: &Gpu, resources: &[(&str, wgpu::BindingResource)]) -> Result<Vec<wgpu::BindGroup>> {
+    pub fn bind(
+        &self,
+        device: &wgpu::Device,
+        resources: &[(&str, wgpu::BindingResource)],
+    ) -> Result<Vec<wgpu::BindGroup>> {
         for (name, _) in resources {
             if !self.slots.iter().any(|s| s.name == *name) && !self.unused.iter().any(|u| u == name) {
                 return Err(Error::device(format!("{}: the shader has no variable {name:?} to bind", self.label)));
@@ -121,7 +124,7 @@ impl Kernel {
                 entries.push(wgpu::BindGroupEntry { binding: slot.entry.binding, resource: resource.clone() });
             }
             let descriptor = wgpu::BindGroupDescriptor { label: Some(&self.label), layout, entries: &entries };
-            groups.push(gpu.device().create_bind_group(&descriptor));
+            groups.push(device.create_bind_group(&descriptor));
         }
         Ok(groups)
     }

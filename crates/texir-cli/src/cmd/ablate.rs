@@ -14,12 +14,15 @@ use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
 use super::report::{name, publish};
-use super::{CaptureArgs, Session, check_folder, eval, fit, rays};
+use super::{eval, fit};
+use crate::args::{CaptureArgs, rays};
+use crate::checks::check_folder;
 use crate::device;
 use crate::failure::Failure;
 use crate::figures::{self, FIGURES};
 use crate::report::ablation::{self, Ablation, Pictures};
 use crate::report::{self, Picture};
+use crate::session::Session;
 
 /// The table, in the folder of the variants,
 const TABLE: &str = "ablation.json";

@@ -22,9 +22,12 @@ use texir_core::progress::Progress;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
-use super::{Session, bytes, check_outputs, check_side, goes_on, rays, tbl};
+use super::tbl;
+use crate::args::{bytes, rays};
+use crate::checks::{check_outputs, check_side};
 use crate::device;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Arguments of `texir bake`.
 #[derive(Debug, Args)]
@@ -156,7 +159,7 @@ impl Bake {
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
         let texels = Texels::map(backend.as_mut(), size, workspace, session.console)?;
         let solution = bake::solve(backend.as_mut(), &texels, &quality, &checkpoints, session.console)
-            .inspect_err(|e| goes_on(e, &checkpoints, &self.partial(), session))?;
+            .inspect_err(|e| session.goes_on(e, &checkpoints, &self.partial()))?;
         self.write(&solution, &texels, session)?;
         let (buried, valid, rays) = (solution.buried()?, texels.valid(), solution.rays);
         drop((solution, texels));

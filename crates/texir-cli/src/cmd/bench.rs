@@ -16,9 +16,9 @@ use texir_core::rng::{hash, hash2, sobol2};
 use texir_core::scene::Scene;
 use texir_core::surface::{Hit, SurfacePoint};
 
-use super::Session;
 use crate::device;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Triangles of the meshes, at least: the flat that they are cut from has 19 thousand.
 const MESHES: [usize; 3] = [10_000, 100_000, 1_000_000];

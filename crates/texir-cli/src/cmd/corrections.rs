@@ -6,9 +6,9 @@ use texir_core::progress::Progress;
 use texir_core::scene::Scene;
 use texir_core::tbl::{blur, exposure, pose};
 
-use super::Session;
 use crate::device;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Corrections of the training views.
 #[derive(Debug, Args)]

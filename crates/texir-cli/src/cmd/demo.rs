@@ -9,9 +9,10 @@ use texir_core::capture::{self, LoadOptions};
 use texir_core::demo::{self, Flat, FlatOptions, PaintStyle, RenderOptions, ShotOptions};
 use texir_core::outputs::{REPORT, SCENE, Staging};
 
-use super::{Session, fit};
+use super::fit;
 use crate::failure::Failure;
 use crate::figures;
+use crate::session::Session;
 
 /// Folder of the capture within the demo's.
 const CAPTURE: &str = "capture";

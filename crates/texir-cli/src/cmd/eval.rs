@@ -14,10 +14,11 @@ use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 use texir_core::text_file::read_text;
 
-use super::{Session, rays};
+use crate::args::rays;
 use crate::device;
 use crate::failure::{Context, Failure};
 use crate::figures;
+use crate::session::Session;
 
 /// Rays per pixel of the protocol.
 pub const RAYS: u32 = 256;

@@ -6,8 +6,9 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::outputs::{FitOutput, SCENE};
 
-use super::{Session, check_outputs};
+use crate::checks::check_outputs;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Arguments of `texir export`.
 #[derive(Debug, Args)]

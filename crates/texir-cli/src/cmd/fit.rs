@@ -15,11 +15,15 @@ use texir_core::outputs::{CORRECTIONS, FitOutput, LOG, REPORT, ROOMS, RUN, Run, 
 use texir_core::scene::Scene;
 
 use super::corrections::CorrectionArgs;
-use super::{CaptureArgs, Session, bytes, check_folder, describe, eval, goes_on, report};
-use crate::args::Config;
+use super::{eval, report};
+use crate::args::{CaptureArgs, bytes};
+use crate::checks::check_folder;
+use crate::cmd::report::describe;
+use crate::config::Config;
 use crate::device;
 use crate::failure::Failure;
 use crate::figures;
+use crate::session::Session;
 
 /// Arguments of `texir fit`.
 #[derive(Debug, Args)]
@@ -126,7 +130,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?, session.console)?;
     let FitResult { textures, confidence, tbl, plan, timings } =
         fit::fit(backend.as_mut(), capture, fitting, &checkpoints, session.console, &mut |epoch| log.push(*epoch))
-            .inspect_err(|e| goes_on(e, &checkpoints, &partial, session))?;
+            .inspect_err(|e| session.goes_on(e, &checkpoints, &partial))?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),

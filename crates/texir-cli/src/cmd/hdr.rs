@@ -8,8 +8,9 @@ use serde::Serialize;
 use texir_core::hdr::{self, Merged, ResponseChoice, Shot};
 use texir_core::image_io::{TransferCurve, write_rgb};
 
-use super::{Session, check_exr, check_outputs};
+use crate::checks::{check_exr, check_outputs};
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Arguments of `texir hdr`.
 #[derive(Debug, Args)]

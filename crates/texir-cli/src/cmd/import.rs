@@ -9,8 +9,8 @@ use texir_core::capture::import::{self, ImportOptions, Written};
 use texir_core::capture::segment::Segmenter;
 use texir_core::image_io::TransferCurve;
 
-use super::Session;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Arguments of `texir import`.
 #[derive(Debug, Args)]

@@ -25,9 +25,12 @@ use texir_core::scene::Scene;
 use texir_core::tbl::blur;
 
 use super::import::SourceArgs;
-use super::{CaptureArgs, Session, check_folder, overlay};
+use super::overlay;
+use crate::args::CaptureArgs;
+use crate::checks::check_folder;
 use crate::console::count;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Columns of the coarse panorama that is traced from every camera.
 const PROBE: usize = 64;

@@ -11,9 +11,12 @@ use texir_core::progress::Progress;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
-use super::{Session, check_folder, eval, rays};
+use super::eval;
+use crate::args::rays;
+use crate::checks::check_folder;
 use crate::device;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Previews are no brighter or darker than by this many stops.
 const MOST_STOPS: f32 = 60.0;

@@ -4,15 +4,17 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use texir_core::capture::Capture;
+use texir_core::capture::{Capture, Split};
 use texir_core::eval::Evaluation;
 use texir_core::outputs::{FitOutput, LOG, REPORT, ROOMS, SETTINGS};
 
-use super::{Session, describe, describe_textures, eval, rays};
+use super::eval;
+use crate::args::rays;
 use crate::console::seconds;
 use crate::failure::Failure;
 use crate::figures;
 use crate::report::{self, Picture, ViewPanel};
+use crate::session::Session;
 
 /// Arguments of `texir report`.
 #[derive(Debug, Args)]
@@ -49,7 +51,12 @@ pub fn publish(
     let evaluation = eval::of_output(output, capture, samples, session, &mut |view| panels.push(ViewPanel::new(view)))?;
     let page = report::Report {
         title: name(&capture.root),
-        summary: format!("{}, {}.", describe(capture), describe_textures(&output.textures)),
+        summary: format!(
+            "{}, a {} × {} atlas.",
+            describe(capture),
+            output.textures.albedo.width,
+            output.textures.albedo.height
+        ),
         textures: report::texture_figures(&output.textures, output.confidence.as_ref())?,
         rooms: read(&out.join(ROOMS))?.map(|bytes| Picture::from_png(&bytes)).transpose()?,
         curves: report::draw_curves(&report::parse_log(&read_text(&out.join(LOG))?)?)?,
@@ -93,4 +100,20 @@ fn read(path: &Path) -> Result<Option<Vec<u8>>, Failure> {
 /// A file's text; empty where there is no such file.
 fn read_text(path: &Path) -> Result<String, Failure> {
     Ok(read(path)?.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default())
+}
+
+/// A capture in a line.
+pub fn describe(capture: &Capture) -> String {
+    let of = |split| capture.views(split).count();
+    let sizes: Vec<(usize, usize)> = capture.views.iter().map(|v| (v.camera.width, v.camera.height)).collect();
+    let size = match sizes.first() {
+        Some(first) if sizes.iter().all(|s| s == first) => format!("{} × {}", first.0, first.1),
+        _ => "mixed sizes".to_owned(),
+    };
+    format!(
+        "{} training and {} novel views of {size}, {} triangles",
+        of(Split::Train),
+        of(Split::Novel),
+        capture.mesh.triangles.len()
+    )
 }

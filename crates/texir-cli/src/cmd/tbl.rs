@@ -10,9 +10,11 @@ use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
 use super::corrections::CorrectionArgs;
-use super::{CaptureArgs, Session, check_exr, check_outputs, check_side};
+use crate::args::CaptureArgs;
+use crate::checks::{check_exr, check_outputs, check_side};
 use crate::device;
 use crate::failure::Failure;
+use crate::session::Session;
 
 /// Arguments of `texir tbl`.
 #[derive(Debug, Args)]

@@ -14,7 +14,7 @@ use gltf::{Document, Material, Node, Semantic};
 use rayon::prelude::*;
 
 use super::Surfaces;
-use super::export::materials;
+use super::materials::materials;
 use super::texture::{Colour, Footprint, Images, Texture, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;

@@ -19,6 +19,8 @@ mod export;
 mod gltf;
 #[cfg(feature = "files")]
 mod layout;
+#[cfg(feature = "files")]
+mod materials;
 mod series;
 mod solve;
 #[cfg(all(test, feature = "files"))]

@@ -10,11 +10,10 @@ use std::borrow::Cow;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::solution::is_seen;
 use super::store::{Items, Store};
 use super::surface::Surface;
 use super::texels::{PIECE, Texels};
-use super::tiles::{Tiles, rays_of};
+use super::tiles::{Tiles, is_seen, rays_of};
 use crate::backend::{Backend, Gather, Gathered, Sequences};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};

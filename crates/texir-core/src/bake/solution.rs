@@ -8,7 +8,7 @@ use super::store::Items;
 use super::store::Store;
 use super::surface::Surface;
 use super::texels::{PIECE, Texels};
-use super::tiles::{Tiles, rays_of};
+use super::tiles::{Tiles, is_seen, rays_of};
 use super::{Baked, Buried, Denoiser, PADDING, Quality};
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather, Gathered};
@@ -18,9 +18,6 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::raster::{Raster, Rgb, luminance};
 use crate::surface::SurfacePoint;
-
-/// A texel lies inside an object when this share of its rays meets the backs of triangles.
-const BURIED: f32 = 0.5;
 
 /// A [`Baked`] that lies where its [`Texels`] do.
 #[derive(Debug)]
@@ -325,9 +322,4 @@ pub(super) fn as_gathered(
     )?;
     progress.finish();
     Ok(Solution { irradiance, seen, standard_error: None, rays })
-}
-
-/// See [`BURIED`].
-pub(super) fn is_seen(back_faces: f32) -> u8 {
-    u8::from(back_faces < BURIED)
 }

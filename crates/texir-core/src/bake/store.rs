@@ -10,8 +10,12 @@ use std::path::PathBuf;
 use bytemuck::{Pod, cast_slice, cast_slice_mut};
 use bytesize::ByteSize;
 
-use super::memory;
 use crate::error::{Error, Result};
+
+/// Bytes of a point of a neighbourhood while it is denoised, as measured: point, two gathers, what is found on the way,
+/// entries of the search and while they are sorted, result. Where texels are much larger than a typical one, cells of
+/// the search (408 bytes) hold few of them, and it is up to twice as much.
+pub(super) const POINT: u64 = 212;
 
 /// Items that are read from a file at once although nobody asked for them, as this takes less time than another read.
 const GAP: u32 = 64;
@@ -57,7 +61,7 @@ impl Workspace {
     pub(super) fn points(&self) -> usize {
         match self {
             Self::Memory => usize::MAX,
-            Self::Disk { memory, .. } => (memory.0 / memory::POINT) as usize,
+            Self::Disk { memory, .. } => (memory.0 / POINT) as usize,
         }
     }
 }

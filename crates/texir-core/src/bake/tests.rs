@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytesize::ByteSize;
 use glam::{Vec2, Vec3};
 
+use super::store::POINT;
 use super::surface::Surface;
 use super::tiles::{Tiles, rays_of};
 use super::*;
@@ -228,7 +229,7 @@ fn buried_texels_take_what_is_lit_beside_them_and_keep_the_rest() {
 
 /// In files, with few texels at a time.
 fn on_disk(folder: &Path) -> Workspace {
-    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(13_400 * memory::POINT) }
+    Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(13_400 * POINT) }
 }
 
 /// The map and its errors, made some rows at a time.
@@ -346,7 +347,7 @@ fn texels_too_close_together_for_the_memory_are_an_error_that_says_what_would_do
     let (scene, radiance) = strips();
     let mut backend = lit(&scene, &radiance);
     let folder = tempfile::tempdir().unwrap();
-    let small = Workspace::Disk { folder: folder.path().to_owned(), memory: ByteSize(50 * memory::POINT) };
+    let small = Workspace::Disk { folder: folder.path().to_owned(), memory: ByteSize(50 * POINT) };
     let texels = Texels::map(&mut backend, [LARGE; 2], small, &Silent).unwrap();
     let error = Surface::new(&texels, &scene.mesh, denoise::REACH).err().unwrap().to_string();
     assert!(error.contains("more memory") && error.contains("KiB"), "{error}");

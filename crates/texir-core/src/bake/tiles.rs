@@ -13,6 +13,9 @@ const RAYS: usize = 1 << 23;
 /// Points of a tile at most, for the memory that they take.
 const POINTS: usize = 1 << 18;
 
+/// A texel lies inside an object when this share of its rays meets the backs of triangles.
+const BURIED: f32 = 0.5;
+
 /// Points to gather at. How they are cut into tiles changes nothing, as a point's samples depend on it alone.
 pub(super) struct Tiles<'a> {
     points: &'a Store<'a, SurfacePoint>,
@@ -78,4 +81,9 @@ impl<'a> Tiles<'a> {
 /// Rays of one point.
 pub(super) fn rays_of(gather: Gather) -> u64 {
     u64::from(gather.cosine) + u64::from(gather.light)
+}
+
+/// 0 for a point inside other geometry (see [`BURIED`]), else 1.
+pub(super) fn is_seen(back_faces: f32) -> u8 {
+    u8::from(back_faces < BURIED)
 }

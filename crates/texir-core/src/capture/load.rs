@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Capture, LoadOptions, Split, Truth, View, import, nerfstudio};
+use super::{Capture, LoadOptions, Split, Truth, View, files, import, nerfstudio};
+use crate::atlas::DEFAULT_SIDE;
 use crate::camera::Projection;
 use crate::error::{Error, Result};
 use crate::image_io::{check_whole, read_rgb, read_size};
@@ -16,8 +17,6 @@ use crate::scene::Scene;
 
 /// Looked for in this order.
 const MESH_NAMES: [&str; 4] = ["mesh.obj", "mesh.glb", "mesh.gltf", "mesh.ply"];
-/// The atlas is checked for overlaps at this many texels squared.
-pub(super) const ATLAS_CHECK_SIZE: usize = 1024;
 /// A camera whose up axis points down by more than this is upside down.
 const DOWN: f32 = 0.5;
 /// Cameras that agree on what is up by more than this hold it; within 45° of +Z it is well.
@@ -89,7 +88,7 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
 fn find_mesh(root: &Path) -> Result<PathBuf> {
     MESH_NAMES.iter().map(|name| root.join(name)).find(|path| path.is_file()).ok_or_else(|| {
         let names = MESH_NAMES.join(", ");
-        let what = match import::files::mesh(root) {
+        let what = match files::mesh(root) {
             Some(only) => format!(
                 "has no mesh of a name that is looked for ({names}), but {}: rename it, give it as --mesh {}, or make a \
                  capture of the folder with `texir import`, which takes it",
@@ -123,7 +122,7 @@ fn check_light(root: &Path, views: &[View], progress: &dyn Progress) -> Result<(
 }
 
 fn warn_about_atlas(path: &Path, mesh: &Mesh, progress: &dyn Progress) {
-    for problem in atlas_report(mesh, ATLAS_CHECK_SIZE).problems() {
+    for problem in atlas_report(mesh, DEFAULT_SIDE).problems() {
         progress.warn(&format!("{}: {problem}; `texir import --unwrap` makes a new atlas", path.display()));
     }
 }

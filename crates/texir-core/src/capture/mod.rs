@@ -1,14 +1,17 @@
-//! A capture: a mesh, posed HDR views, and what is known about them. [`load`] reads texir's own folder; [`import`]
+//! A capture: a mesh, posed HDR views, and what is known about them. [`load`](fn@load) reads texir's own folder; [`import`]
 //! makes one of other programs' files.
 
 mod classes;
 mod corrections;
+mod files;
 pub mod import;
+mod lens;
 mod load;
 pub mod nerfstudio;
 mod pose;
 pub mod segment;
 mod sharpen;
+mod shot;
 pub mod survey;
 mod tbl_file;
 mod view;
@@ -18,7 +21,9 @@ use std::sync::Arc;
 
 pub use self::classes::{Class, Classes};
 pub use self::corrections::Corrections;
+pub use self::lens::Distortion;
 pub use self::load::load;
+pub use self::shot::Shot;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::mesh::Mesh;

@@ -8,9 +8,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::import::files::view_names;
-use super::import::{Distortion, Shot};
-use super::{Classes, Split, View, pose};
+use super::files::view_names;
+use super::{Classes, Distortion, Shot, Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};

@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_1_PI;
 
 use super::light_sampling::{light_density, light_point};
-use super::trace::{Lighting, Trace};
+use super::lighting::Lighting;
 #[cfg(doc)]
 use crate::backend::Sequences;
 use crate::backend::{Gather, Gathered};
@@ -11,6 +11,7 @@ use crate::brdf::basis;
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, lattice2};
+use crate::scene::trace::Trace;
 use crate::surface::SurfacePoint;
 
 /// A cosine-distributed unit direction around +Z, density cosθ/π.

@@ -1,18 +1,11 @@
 //! Directions to the lights of the TBL, and the density with which they are drawn; twin of
 //! `shared/light_sampling.wgsl`.
 
-use super::trace::TraceHit;
-use crate::lights::{Lights, invert};
+use crate::distribution::invert;
+use crate::lights::{Lights, point_on};
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
-
-/// A uniform point of a triangle, by the square-root map.
-pub fn point_on<R: Real>(mesh: &Mesh, triangle: u32, [u, v]: [f32; 2]) -> V3<R> {
-    let [a, b, c] = mesh.corners(triangle).map(|p| V3::of(p.to_array()));
-    let root = R::of(f64::from(u)).sqrt();
-    let v = R::of(f64::from(v));
-    a * (R::of(1.0) - root) + b * (root * (R::of(1.0) - v)) + c * (root * v)
-}
+use crate::scene::trace::TraceHit;
 
 /// A point on a light, and the triangle it lies on: the first number chooses a cluster by `table`, what is left of it a
 /// triangle of the cluster, and what is left of that is the point's first coordinate.

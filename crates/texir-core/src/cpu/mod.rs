@@ -7,6 +7,7 @@ pub mod group_loss;
 pub mod irradiance;
 mod lanes;
 pub mod light_sampling;
+pub mod lighting;
 pub mod lookup;
 pub mod primary;
 pub mod project;
@@ -16,8 +17,6 @@ pub mod shade;
 pub mod shade_vjp;
 pub mod specular_table;
 pub mod texels;
-pub mod trace;
-pub(crate) mod wide;
 
 #[cfg(test)]
 mod tests;
@@ -41,11 +40,12 @@ use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::real::V3;
 use crate::scene::Scene;
+use crate::scene::trace::TraceHit;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint};
 use crate::texture::{Footprints, Pyramid, Rows};
+use lighting::Lighting;
 use shade::{MaterialIn, ShadedIn};
-use trace::{Lighting, TraceHit};
 
 /// Items traced between two looks at progress and cancellation.
 const CHUNK: usize = 4096;

@@ -1,8 +1,8 @@
 //! Primary visibility, twin of `primary.wgsl`.
 
-use super::trace::{Trace, TraceHit};
 use crate::camera::Camera;
 use crate::real::{Real, V3};
+use crate::scene::trace::{Trace, TraceHit};
 
 /// The closest hit through the centre of pixel `(x, y)`.
 pub fn primary<R: Real>(tracer: &impl Trace<R>, camera: &Camera, x: usize, y: usize) -> Option<TraceHit<R>> {

@@ -1,9 +1,9 @@
 //! Projection of surface points into a view with visibility, twin of `project.wgsl`.
 
-use super::trace::Trace;
 use crate::backend::Projected;
 use crate::camera::Camera;
 use crate::real::{Real, V3};
+use crate::scene::trace::Trace;
 use crate::surface::SurfacePoint;
 
 /// A point counts as visible when nothing lies before this share of the way to the camera.

@@ -1,9 +1,9 @@
 //! Irradiance from a punctual light, twin of `punctual.wgsl`.
 
 use super::project::CLEAR_SHARE;
-use super::trace::Trace;
 use crate::punctual::PunctualLight;
 use crate::real::{Real, V3};
+use crate::scene::trace::Trace;
 use crate::surface::SurfacePoint;
 
 /// E at a point: intensity × falloff × cosθ / d², 0 in shadow. Cosine included, not divided by π.

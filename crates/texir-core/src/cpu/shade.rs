@@ -1,7 +1,7 @@
 //! Shading, twin of `shade.wgsl`: diffuse from irradiance + importance-sampled GGX over the TBL, with the derivatives
 //! that the adjoint needs (method section 4).
 
-use super::trace::{Lighting, Trace};
+use super::lighting::Lighting;
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::{
     Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_schlick, f0, fresnel_weight, sample_half_vector,
@@ -9,6 +9,7 @@ use crate::brdf::{
 };
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
+use crate::scene::trace::Trace;
 
 /// A material in any scalar; see [`crate::backend::Material`].
 #[derive(Clone, Copy, Debug)]

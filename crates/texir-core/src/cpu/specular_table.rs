@@ -5,12 +5,13 @@ use pulp::{Arch, NullaryFnOnce};
 
 use super::irradiance::cosine_direction;
 use super::light_sampling::{light_density, light_point};
-use super::trace::{Lighting, Trace, TraceHit};
+use super::lighting::Lighting;
 use crate::backend::ShadePoint;
 use crate::brdf::{Masking, basis, distribution_at, fresnel_weight, sample_half_vector};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
+use crate::scene::trace::{Trace, TraceHit};
 use crate::specular_table::{LOBES, NODES, STRATA, TableSampling, node};
 
 /// S(r_k) = Σ L f_s(r_k) nl / Σ_j n_j p_j at every node k, the mean over the strata: the balance heuristic (Veach and

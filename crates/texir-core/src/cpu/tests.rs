@@ -5,11 +5,11 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3};
 
 use super::group_loss::group_loss;
+use super::lighting::Lighting;
 use super::lookup::{lookup, lookup_vjp};
 use super::radiance_loss::radiance_loss;
 use super::shade::{MaterialIn, ShadedIn, shade};
 use super::shade_vjp::shade_vjp;
-use super::trace::{Exhaustive, Lighting, Trace};
 use super::*;
 use crate::atlas::Atlas;
 use crate::brdf::{self, Masking};
@@ -17,6 +17,7 @@ use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::real::{Dual, Real};
 use crate::rng::{hash, hash2, sobol2};
+use crate::scene::trace::{Exhaustive, Trace};
 use crate::texture::{Rows, Tap};
 
 /// A closed box [0, 1]³ seen from inside; each wall has its own sixth of the atlas.

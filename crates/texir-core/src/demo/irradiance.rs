@@ -11,13 +11,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::atlas::{TexelPoint, dilate, texel_points};
-use super::pathtrace::RenderOptions;
+use super::options::RenderOptions;
 use super::random::{Sample, stream};
 use super::trace::{Vertex, World, around, bilinear, lobe, sample_lobe};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::raster::{Raster, Rgb, mean_pixel};
-use crate::surface::offset_origin;
+use crate::ray_origin::offset_origin;
 
 /// Texels of the atlas per texel of the indirect solution, along one axis.
 const SHRINK: usize = 2;

@@ -11,6 +11,7 @@ mod emitters;
 mod furniture;
 mod irradiance;
 mod layout;
+mod options;
 mod paint;
 mod palette;
 mod pathtrace;
@@ -24,7 +25,8 @@ mod tests;
 
 pub use cameras::{Shot, ShotOptions, shots};
 pub use layout::{Room, RoomKind};
-pub use pathtrace::{RenderOptions, Rendered, render};
+pub use options::RenderOptions;
+pub use pathtrace::{Rendered, render};
 pub use write::{FILES, write};
 
 use crate::error::{Error, Result};

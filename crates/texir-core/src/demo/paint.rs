@@ -81,6 +81,11 @@ impl Paint {
         Self { emission, ..Self::flat(Vec3::splat(0.6), 0.5) }
     }
 
+    /// A window pane: brighter towards its top.
+    pub fn sky(radiance: Vec3) -> Self {
+        Self { pattern: Pattern::Sky, ..Self::light(radiance) }
+    }
+
     /// The material at `st` on a chart of `size` metres. `variation` scales how much roughness varies within the
     /// surface.
     pub fn at(&self, st: Vec2, size: Vec2, style: PaintStyle, variation: f32) -> Texel {

@@ -5,7 +5,6 @@ use glam::Vec3;
 use super::layout::RoomKind;
 use super::paint::{Paint, Pattern, hue};
 use super::random::Random;
-use super::shell::sky;
 
 /// The paints that the pieces of a room choose from.
 #[derive(Clone, Copy, Debug)]
@@ -86,7 +85,7 @@ impl RoomPalette {
             ceiling: new(Mottled, [0.8, 0.79, 0.77], [0.76, 0.75, 0.73], 0.88),
             trim: new(Flat, [0.72, 0.71, 0.68], [0.72, 0.71, 0.68], random.range(0.25, 0.4)),
             threshold: new(Grain, walnut.0, walnut.1, 0.35),
-            sky: sky(Vec3::new(3.1, 3.7, 4.3) * random.range(0.9, 1.15)),
+            sky: Paint::sky(Vec3::new(3.1, 3.7, 4.3) * random.range(0.9, 1.15)),
             curtain: new(Weave { period: 0.02 }, tinted(0.6, 0.45), tinted(0.45, 0.3), 0.85),
             wood: new(Grain, wood.0, wood.1, random.range(0.2, 0.4)),
             fronts: if kind == RoomKind::Kitchen {

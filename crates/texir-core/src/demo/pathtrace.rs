@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use super::Flat;
 use super::cameras::Shot;
 use super::irradiance;
+use super::options::RenderOptions;
 use super::random::{Sample, stream};
 use super::trace::{Vertex, World, bilinear, lobe, sample_lobe};
 use crate::error::{Error, Result};
@@ -24,27 +25,6 @@ use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 
 /// Emitter samples at the first bounce, where a small lamp in a lobe of middling width would sparkle.
 const FIRST_LIGHTS: usize = 6;
-
-/// How much work to put into the images.
-#[derive(Clone, Copy, Debug)]
-pub struct RenderOptions {
-    /// Every sample follows from it.
-    pub seed: u64,
-    /// Samples per pixel (box filter), each with its own specular paths.
-    pub pixel_samples: usize,
-    /// Emitter samples per texel for direct light; a quarter as many cosine samples come on top.
-    pub light_samples: usize,
-    /// Rays per texel of the indirect solution.
-    pub gather_rays: usize,
-    /// Specular reflections in a row that are followed; 0 makes every surface purely diffuse.
-    pub specular_bounces: usize,
-}
-
-impl Default for RenderOptions {
-    fn default() -> Self {
-        Self { seed: 1, pixel_samples: 16, light_samples: 40, gather_rays: 32, specular_bounces: 2 }
-    }
-}
 
 /// One rendered view with its ground truth.
 #[derive(Clone, Debug)]

@@ -5,7 +5,7 @@ use glam::{Vec2, Vec3};
 use super::chart::{Chart, Faces, Frame, Look, Point, Rect, block};
 use super::class;
 use super::layout::{CEILING, Layout, Opening, WALL, heights};
-use super::paint::{Paint, Pattern};
+use super::paint::Paint;
 use super::palette::RoomPalette;
 
 /// One wall of a room, seen from inside.
@@ -198,9 +198,4 @@ fn curtain(out: &mut Vec<Chart>, look: Look, frame: Frame, width: f32, height: f
             normal: frame.x * side,
         }));
     }
-}
-
-/// The paint of a window pane: brighter towards its top.
-pub(super) fn sky(radiance: Vec3) -> Paint {
-    Paint { pattern: Pattern::Sky, ..Paint::light(radiance) }
 }

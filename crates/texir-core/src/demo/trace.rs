@@ -9,11 +9,11 @@ use crate::brdf::{
     Cosines, DIELECTRIC_F0, Masking, basis, fresnel_weight, pdf, sample_half_vector, sample_weight,
     specular_over_fresnel,
 };
-use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::raster::{Raster, Rgb};
 use crate::real::V3;
 use crate::scene::Scene;
+use crate::scene::trace::Trace;
 use crate::surface::{Hit, SurfacePoint};
 
 /// The flat, its hierarchy and its emitters.
@@ -76,7 +76,7 @@ impl<'a> World<'a> {
         let way = to - from;
         let length = way.length();
         let direction = V3((way / length).to_array());
-        self.scene.wide().closest(V3(from.to_array()), direction, length * (1.0 - 1e-4)).is_none()
+        self.scene.closest_within(V3(from.to_array()), direction, length * (1.0 - 1e-4)).is_none()
     }
 
     /// Emitted radiance towards the ray that met `vertex`.

@@ -6,6 +6,7 @@ use glam::{IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::atlas::{Atlas, TexelIndex};
+use crate::disjoint_sets::DisjointSets;
 use crate::mesh::Mesh;
 
 /// No neighbour on that side.
@@ -53,6 +54,34 @@ impl Adjacency {
         let first = self.seams.partition_point(|pair| pair[0] < texel);
         let across = self.seams[first..].iter().take_while(move |pair| pair[0] == texel).map(|pair| pair[1]);
         self.beside[texel as usize].into_iter().filter(|&n| n != NONE).chain(across)
+    }
+
+    /// Numbers the regions of texels in which neighbours, and the `pairs` besides, belong together; and their count.
+    pub fn regions(&self, pairs: &[[u32; 2]], together: impl Fn(u32, u32) -> bool) -> (Vec<u32>, usize) {
+        let count = self.beside.len();
+        let mut sets = DisjointSets::new(count);
+        let mut join = |a: u32, b: u32| {
+            if together(a, b) {
+                sets.join(a, b);
+            }
+        };
+        for i in 0..count as u32 {
+            self.around(i).for_each(|n| join(i, n));
+        }
+        pairs.iter().for_each(|[a, b]| join(*a, *b));
+        let mut numbers = vec![NONE; count];
+        let mut regions = 0;
+        let numbered = (0..count as u32)
+            .map(|i| {
+                let root = sets.root(i) as usize;
+                if numbers[root] == NONE {
+                    numbers[root] = regions;
+                    regions += 1;
+                }
+                numbers[root]
+            })
+            .collect();
+        (numbered, regions as usize)
     }
 
     /// All texels that one touches: those [around](Self::around) it, and those at its corners in the chart.

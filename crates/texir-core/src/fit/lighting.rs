@@ -21,7 +21,7 @@ pub(super) struct Lighting {
     pub training: Vec<View>,
     /// and as the fit of materials reads them.
     pub views: Vec<View>,
-    /// What all of its light was multiplied with: see [`unit`].
+    /// What all of its light was multiplied with: see [`unit`](fn@unit).
     pub unit: f32,
 }
 

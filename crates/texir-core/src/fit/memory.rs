@@ -2,7 +2,7 @@
 
 use bytesize::ByteSize;
 
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, DEFAULT_SIDE};
 use crate::capture::View;
 use crate::error::{Error, Result};
 use crate::fit::settings::{FitSettings, Mode};
@@ -46,7 +46,7 @@ pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u
 pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usize {
     let side = tbl::default_side(views);
     let textures = needed(settings, (side, side), 0, mesh).0;
-    if 2 * textures <= settings.max_memory.0 { side } else { tbl::DEFAULT_SIZE }
+    if 2 * textures <= settings.max_memory.0 { side } else { DEFAULT_SIDE }
 }
 
 /// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the

@@ -7,13 +7,13 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{LightGrid, Lights, cumulative};
-use crate::cpu::light_sampling::point_on;
-use crate::cpu::trace::Trace;
+use super::{LightGrid, Lights, point_on};
+use crate::distribution::cumulative;
 use crate::mesh::bounds;
 use crate::real::V3;
 use crate::rng::{hash2, sobol2};
 use crate::scene::Scene;
+use crate::scene::trace::Trace;
 use crate::surface::SurfacePoint;
 
 /// The surface of the scene over the area of a cell's side: about half the number of its cells, at most.

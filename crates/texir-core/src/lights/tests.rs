@@ -4,9 +4,13 @@ use std::sync::Arc;
 use glam::Vec2;
 
 use super::*;
+use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::cpu::CpuBackend;
+use crate::distribution::cumulative;
 use crate::progress::Silent;
+use crate::raster::Rgb;
+use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
 /// Quads in an atlas of `n × n` charts.
@@ -156,26 +160,6 @@ fn every_table_is_a_density() {
             .sum();
         assert!((total - 1.0).abs() < 1e-5, "{total}");
     }
-}
-
-#[test]
-fn inverting_draws_in_proportion_and_leaves_a_uniform_rest() {
-    let weights = [0.1, 2.0, 0.0, 0.7, 1.2, 0.0];
-    let cumulative = cumulative(&weights);
-    assert_eq!(cumulative[4..], [1.0, 1.0]);
-    const N: u32 = 100_000;
-    let (mut count, mut rest) = ([0.0f32; 6], [0.0f32; 6]);
-    for i in 0..N {
-        let (item, r) = invert(6, |i| cumulative[i], (i as f32 + 0.5) / N as f32);
-        assert!((0.0..1.0).contains(&r));
-        count[item] += 1.0;
-        rest[item] += r;
-    }
-    for item in 0..6 {
-        assert!((count[item] / N as f32 - weights[item] / 4.0).abs() < 1e-4, "{item}: {count:?}");
-        assert!(weights[item] == 0.0 || (rest[item] / count[item] - 0.5).abs() < 1e-3, "{item}: {rest:?}");
-    }
-    assert_eq!(invert(6, |i| cumulative[i], BELOW_ONE).0, 4);
 }
 
 #[test]

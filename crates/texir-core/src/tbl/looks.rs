@@ -14,9 +14,9 @@ use super::shown::pixels_per_steradian;
 use crate::atlas::TexelIndex;
 use crate::backend::Backend;
 use crate::camera::Camera;
-use crate::cpu::trace::Trace;
 use crate::error::Result;
 use crate::real::V3;
+use crate::scene::trace::Trace;
 use crate::surface::Hit;
 use crate::texture::{Tap, merge};
 

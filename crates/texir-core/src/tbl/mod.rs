@@ -23,7 +23,7 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, DEFAULT_SIDE};
 use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::capture::{Coverage, Tbl, View};
@@ -38,14 +38,11 @@ use joined::Joined;
 use photo::Photo;
 use sample::Sampler;
 
-/// Side of the atlas, texels, where neither anybody nor views say.
-pub const DEFAULT_SIZE: usize = 1024;
-
-/// Side of the atlas, texels, when nobody says: [`DEFAULT_SIZE`], or twice that where views have more pixels than such
+/// Side of the atlas, texels, when nobody says: [`DEFAULT_SIDE`], or twice that where views have more pixels than such
 /// an atlas has texels, as it would hold less than they show.
 pub fn default_side(views: &[View]) -> usize {
     let pixels: usize = views.iter().map(|view| view.camera.pixels()).sum();
-    if pixels > DEFAULT_SIZE * DEFAULT_SIZE { 2 * DEFAULT_SIZE } else { DEFAULT_SIZE }
+    if pixels > DEFAULT_SIDE * DEFAULT_SIDE { 2 * DEFAULT_SIDE } else { DEFAULT_SIDE }
 }
 
 /// How views are joined into a TBL.

@@ -112,7 +112,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>, progress: &dyn Progress) 
             });
             let mut resources = vec![("params", params.binding()), ("spans", spans.binding())];
             resources.extend(on_device.iter().map(|(name, view)| (*name, view.binding())));
-            let groups = kernel.bind(&ctx.gpu, &resources)?;
+            let groups = kernel.bind(ctx.gpu.device(), &resources)?;
             ctx.trace(&kernel, &groups, (end - first).div_ceil(WORKGROUP), cost * (end - first) as u64)?;
             first = end;
         }

@@ -53,7 +53,7 @@ pub(crate) fn run(
     // Pixels of no group, and references, get no gradient.
     gradient.clear(gpu);
     let bound = kernel.bind(
-        gpu,
+        gpu.device(),
         &[
             ("params", params.binding()),
             ("offsets", offsets.binding()),

@@ -101,7 +101,7 @@ impl Gathering for Irradiance<'_> {
         let kernel = &self.kernels[technique];
         let scene =
             [&self.geometry.lit_by(self.lighting)[..], &self.geometry.sky.bindings(), &self.lighting.lights()].concat();
-        let groups = kernel.bind(&ctx.gpu, &[&scene[..], &own].concat())?;
+        let groups = kernel.bind(ctx.gpu.device(), &[&scene[..], &own].concat())?;
         let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.trace(kernel, &groups, workgroups, rays)

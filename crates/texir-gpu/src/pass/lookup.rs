@@ -73,7 +73,7 @@ fn gathering(
             ("destination", destination.binding()),
         ];
         resources.extend(touched.as_ref().map(|t| ("touched", t.binding())));
-        steps.push(kernel.bind(&ctx.gpu, &resources)?);
+        steps.push(kernel.bind(ctx.gpu.device(), &resources)?);
     }
     Ok(Gathering { kernel, steps, workgroups: (rows.len() * channels).div_ceil(WORKGROUP) })
 }

@@ -66,7 +66,7 @@ impl Levels {
                 channels: channels as u32,
             });
             let groups = kernel.bind(
-                &ctx.gpu,
+                ctx.gpu.device(),
                 &[("params", params.binding()), ("coverage", coverage.binding()), ("pyramid", data.binding())],
             )?;
             let workgroups = (coarse.width * coarse.height * channels).div_ceil(WORKGROUP);

@@ -63,7 +63,7 @@ pub(crate) fn run(ctx: &mut Context, geometry: &Geometry, camera: &Camera, rows:
         let hits = ctx.pool.reserve(&ctx.gpu, "hits", (count * size_of::<Hit>()) as u64)?;
         let [nodes, triangles] = geometry.bindings();
         let own = [("camera", view.binding()), ("params", params.binding()), ("hits", hits.binding())];
-        let groups = kernel.bind(&ctx.gpu, &[&[nodes, triangles][..], &own].concat())?;
+        let groups = kernel.bind(ctx.gpu.device(), &[&[nodes, triangles][..], &own].concat())?;
         ctx.trace(&kernel, &groups, count.div_ceil(WORKGROUP), count as u64)?;
         out.extend(ctx.pool.download::<Hit>(&ctx.gpu, &hits, count)?);
         Ok(())

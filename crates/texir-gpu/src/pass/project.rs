@@ -40,7 +40,7 @@ pub(crate) fn run(
             ("points", points.binding()),
             ("projected", projected.binding()),
         ];
-        let groups = kernel.bind(&ctx.gpu, &[&geometry.bindings()[..], &own].concat())?;
+        let groups = kernel.bind(ctx.gpu.device(), &[&geometry.bindings()[..], &own].concat())?;
         ctx.trace(&kernel, &groups, count.div_ceil(WORKGROUP), count as u64)?;
         out.extend(ctx.pool.download::<Projected>(&ctx.gpu, &projected, count)?);
         Ok(())

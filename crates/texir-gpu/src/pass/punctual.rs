@@ -44,7 +44,7 @@ pub(crate) fn run(
                 ("points", batch.binding()),
                 ("irradiance", irradiance.binding()),
             ];
-            let groups = kernel.bind(&ctx.gpu, &[&geometry.bindings()[..], &own].concat())?;
+            let groups = kernel.bind(ctx.gpu.device(), &[&geometry.bindings()[..], &own].concat())?;
             ctx.trace(&kernel, &groups, count.div_ceil(WORKGROUP), count as u64)?;
             progress.advance(count as u64);
         }

@@ -26,7 +26,7 @@ pub(crate) fn run(ctx: &mut Context, rendered: &[[f32; 3]], target: &[[f32; 3]])
     let d_rendered = pool.reserve(gpu, "d_radiance", (count * size_of::<[f32; 3]>()) as u64)?;
     let losses = pool.reserve(gpu, "losses", (workgroups * size_of::<f32>()) as u64)?;
     let groups = kernel.bind(
-        gpu,
+        gpu.device(),
         &[
             ("params", params.binding()),
             ("rendered", rendered.binding()),

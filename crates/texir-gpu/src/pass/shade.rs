@@ -80,7 +80,7 @@ impl Gathering for Shade<'_> {
             ("materials", batch.materials.binding()),
             ("shaded", batch.shaded.binding()),
         ];
-        let groups = self.kernel.bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
+        let groups = self.kernel.bind(ctx.gpu.device(), &[&self.geometry.lit_by(self.lighting)[..], &own].concat())?;
         let workgroups = items.len().div_ceil(self.shape.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.trace(&self.kernel, &groups, workgroups, rays)

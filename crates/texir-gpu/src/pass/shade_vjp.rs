@@ -31,7 +31,7 @@ pub(crate) fn run(
     let d_radiance = pool.upload(gpu, "d_radiance", d_radiance)?;
     let d_materials = pool.reserve(gpu, "d_materials", (count * size_of::<MaterialGrad>()) as u64)?;
     let groups = kernel.bind(
-        gpu,
+        gpu.device(),
         &[
             ("params", params.binding()),
             ("points", points.binding()),

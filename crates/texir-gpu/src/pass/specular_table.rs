@@ -98,8 +98,10 @@ impl Gathering for SpecularTable<'_> {
         let own =
             [("params", params.binding()), ("pixels", batch.pixels.binding()), ("tables", batch.tables.binding())];
         let kernel = &self.kernels[technique];
-        let groups = kernel
-            .bind(&ctx.gpu, &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat())?;
+        let groups = kernel.bind(
+            ctx.gpu.device(),
+            &[&self.geometry.lit_by(self.lighting)[..], &self.lighting.lights(), &own].concat(),
+        )?;
         let workgroups = items.len().div_ceil(SHAPE.items_per_workgroup());
         let rays = items.len() as u64 * samples.len() as u64;
         ctx.trace(kernel, &groups, workgroups, rays)

@@ -56,7 +56,7 @@ pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<
                 reach: REACH as f32,
             });
             let groups = kernel.bind(
-                &ctx.gpu,
+                ctx.gpu.device(),
                 &[
                     ("params", params.binding()),
                     ("bin_offsets", offsets.binding()),

@@ -15,9 +15,10 @@ use texir_core::progress::Progress;
 use texir_core::scene::Scene;
 
 use super::Bake;
-use crate::cmd::{Session, check_outputs, goes_on};
+use crate::checks::check_outputs;
 use crate::device;
 use crate::failure::{Context, Failure};
+use crate::session::Session;
 
 /// Columns of the lightmap where `--size` does not say.
 const DEFAULT_SIZE: usize = 1024;
@@ -117,7 +118,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
     let solved = authored::irradiance(backend.as_mut(), &texels, &surfaces, &bounces, &checkpoints, session.console)
-        .inspect_err(|e| goes_on(e, &checkpoints, &bake.partial(), session))?;
+        .inspect_err(|e| session.goes_on(e, &checkpoints, &bake.partial()))?;
     let unfinished = solved.unfinished(&model, tolerance, options.bounces.is_some());
     let (baked, console) = (&solved.solution, session.console);
     let unlit = authored::unlit(backend.as_mut(), &model, &texels, &surfaces, baked, console)?;

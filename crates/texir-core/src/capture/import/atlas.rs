@@ -1,12 +1,11 @@
 //! A new atlas for meshes whose own does not give every surface a place of its own, and for those that are reduced.
 
 use super::{Import, ImportOptions};
-use crate::capture::load::ATLAS_CHECK_SIZE;
+use crate::atlas::DEFAULT_SIDE;
 use crate::decimate::{Decimated, FARTHEST, decimate};
 use crate::error::{Error, Result};
 use crate::mesh_io::atlas_report;
 use crate::progress::Progress;
-use crate::tbl::DEFAULT_SIZE;
 use crate::unwrap::{UnwrappedMesh, unwrap_mesh};
 
 /// Why the mesh needs a new atlas. One with faults stays where textures belong to it: they would be lost.
@@ -17,7 +16,7 @@ pub(super) fn lacking(import: &Import, unplaced: usize, options: &ImportOptions)
     if unplaced > 0 {
         return Some(format!("{unplaced} of its triangles have no texture coordinates"));
     }
-    let problems = atlas_report(&import.mesh, ATLAS_CHECK_SIZE).problems();
+    let problems = atlas_report(&import.mesh, DEFAULT_SIDE).problems();
     (import.textures.is_empty() && !problems.is_empty()).then(|| problems.join(", and "))
 }
 
@@ -55,7 +54,7 @@ pub(super) fn renew(import: &mut Import, why: &str, progress: &dyn Progress) -> 
     let unwrapped = unwrap_mesh(&import.mesh, progress);
     let UnwrappedMesh { mesh, charts, side } = unwrapped.map_err(|e| of_mesh(import, e))?;
     import.mesh = mesh;
-    let larger = if side > DEFAULT_SIZE { format!("; fit it with --set fit.atlas_size={side}") } else { String::new() };
+    let larger = if side > DEFAULT_SIDE { format!("; fit it with --set fit.atlas_size={side}") } else { String::new() };
     import
         .assumed
         .push(format!("the mesh gets a new atlas of {charts} charts for {side} × {side} texels{larger} ({why})"));

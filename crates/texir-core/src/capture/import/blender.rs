@@ -7,8 +7,9 @@ use std::path::Path;
 use glam::Vec3;
 use serde::Deserialize;
 
-use super::{Importer, Shot, Source, files};
+use super::{Importer, Source};
 use crate::camera::{Camera, Projection};
+use crate::capture::{Shot, files};
 use crate::capture::{Split, View, pose};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;

@@ -8,8 +8,9 @@ use ::gltf::Node;
 use ::gltf::camera::Projection as Lens;
 use glam::{DMat4, Mat4, Vec3};
 
-use super::{Importer, Shot, Source, files};
+use super::{Importer, Source};
 use crate::camera::{Camera, Projection};
+use crate::capture::{Shot, files};
 use crate::capture::{Split, View, pose};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;

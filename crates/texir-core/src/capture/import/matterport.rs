@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
-use super::{Distortion, Importer, Shot, Source, files, numbers};
+use super::{Importer, Source, numbers};
 use crate::camera::{Camera, Projection};
+use crate::capture::{Distortion, Shot, files};
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;

@@ -2,15 +2,13 @@
 //! [`IMPORTERS`].
 //!
 //! A format's module says what is in its files, in its own frame and units. Everything after that is common: what is up
-//! and how long a metre is (`frame`), lenses (`lens`), and the capture folder (`write`).
+//! and how long a metre is (`frame`), and the capture folder, without lens distortion (`write`).
 
 mod atlas;
 mod blender;
 mod colmap;
-pub(super) mod files;
 mod frame;
 mod gltf;
-mod lens;
 mod matterport;
 mod nerfstudio;
 mod numbers;
@@ -22,10 +20,10 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
-pub use self::lens::Distortion;
 pub use self::write::{Written, check_vacant, write};
+use super::Capture;
 use super::segment::Segmenter;
-use super::{Capture, View};
+use crate::capture::Shot;
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
 use crate::mesh::Mesh;
@@ -70,23 +68,6 @@ pub struct Source {
     pub metres_per_unit: Option<f64>,
     /// What was taken for granted, in sentences for the user.
     pub assumed: Vec<String>,
-}
-
-/// A view, and the lens that it was taken through.
-#[derive(Clone, Debug)]
-pub struct Shot {
-    /// Pose, intrinsics and files. A pinhole's intrinsics are those of the image as it is, distorted.
-    pub view: View,
-    /// How the lens deviates from the pinhole.
-    pub distortion: Option<Distortion>,
-    /// An image whose fully transparent pixels are not used.
-    pub opacity: Option<PathBuf>,
-}
-
-impl From<View> for Shot {
-    fn from(view: View) -> Self {
-        Self { view, distortion: None, opacity: None }
-    }
 }
 
 /// What the user says about a source; each wins over what was found.

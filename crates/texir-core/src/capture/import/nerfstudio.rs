@@ -5,7 +5,8 @@ use std::path::Path;
 
 use glam::Vec3;
 
-use super::{Importer, Source, files};
+use super::{Importer, Source};
+use crate::capture::files;
 use crate::capture::nerfstudio::read_shots;
 use crate::error::Result;
 

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3};
 use serde::Deserialize;
 
-use super::{Importer, Source, files};
+use super::{Importer, Source};
 use crate::camera::{Camera, Projection};
+use crate::capture::files;
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;

@@ -16,8 +16,9 @@ use std::path::Path;
 
 use glam::Vec3;
 
-use super::{Importer, Shot, Source, files, numbers};
+use super::{Importer, Source, numbers};
 use crate::camera::{Camera, Projection};
+use crate::capture::{Shot, files};
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;

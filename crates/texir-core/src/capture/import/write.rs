@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::lens::Undistortion;
-use super::{Import, ImportOptions, Shot};
+use super::{Import, ImportOptions};
 use crate::atomic_file::{Stage, write_atomic};
+use crate::capture::Shot;
+use crate::capture::lens::Undistortion;
 use crate::capture::{View, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{

@@ -8,7 +8,6 @@ use rayon::prelude::*;
 
 use super::colours::Colours;
 use super::palette::Palettes;
-use super::segments::connected;
 use crate::atlas::Atlas;
 use crate::fit::adjacency::Adjacency;
 use crate::fit::settings::PaletteSettings;
@@ -59,7 +58,7 @@ pub fn classes(
         let (a, b) = (a as usize, b as usize);
         surface[a] == surface[b] && seen(a) && seen(b) && colour[a] == colour[b]
     };
-    let (of, count) = connected(albedo.len(), adjacency, &[], together);
+    let (of, count) = adjacency.regions(&[], together);
 
     let mut regions = vec![Region::default(); count];
     let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);

@@ -8,14 +8,14 @@ use std::collections::HashMap;
 use glam::{IVec3, Vec3, Vec3A};
 use rayon::prelude::*;
 
-use super::segments::connected;
 use crate::atlas::{Atlas, TexelIndex};
-use crate::cpu::trace::Trace;
 use crate::fit::adjacency::Adjacency;
 use crate::inpaint;
+use crate::ray_origin::offset_origin;
 use crate::real::V3;
 use crate::scene::Scene;
-use crate::surface::{Hit, SurfacePoint, offset_origin};
+use crate::scene::trace::Trace;
+use crate::surface::{Hit, SurfacePoint};
 
 /// Neighbours on one flat surface differ in their normals by less than the angle of this cosine.
 const FLAT: f32 = 0.95;
@@ -43,7 +43,7 @@ const FEW: f64 = 0.1;
 /// The flat surface that each texel is part of.
 pub fn flat_surfaces(atlas: &Atlas, adjacency: &Adjacency) -> Vec<u32> {
     let normal = |t: u32| Vec3::from(atlas.points[t as usize].normal);
-    connected(atlas.points.len(), adjacency, &[], |a, b| normal(a).dot(normal(b)) > FLAT).0
+    adjacency.regions(&[], |a, b| normal(a).dot(normal(b)) > FLAT).0
 }
 
 /// The texels of thin things, the leaves of doors and the boards of shelves, each with the one on the other side,

@@ -9,8 +9,8 @@
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
-use super::hierarchy::Parent;
 use super::palette::log;
+use super::parent::Parent;
 use crate::fit::settings::{KinSettings, RoughnessSettings};
 
 /// Seen texels from which on the colour of a segment is known.

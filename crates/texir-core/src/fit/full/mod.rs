@@ -25,6 +25,7 @@ mod nodes;
 mod observations;
 mod own;
 mod palette;
+mod parent;
 mod periodic_lines;
 mod reflections;
 mod regular;

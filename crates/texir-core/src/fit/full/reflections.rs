@@ -12,9 +12,9 @@ use rayon::prelude::*;
 
 use super::blocks::{Blocks, Patch};
 use crate::backend::ShadePoint;
-use crate::cpu::trace::Trace;
 use crate::real::V3;
 use crate::scene::Scene;
+use crate::scene::trace::Trace;
 use crate::specular_table::{Curve, NODES, PackedCurve, node};
 
 /// How far around a block others are asked, radians: 4.2°.

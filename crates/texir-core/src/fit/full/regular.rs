@@ -1,7 +1,7 @@
 //! Lines at equal distances, as boards of one width and tiles are laid, and the ends of the boards.
 //!
 //! Where they are follows from all of them together, also of those that hardly stand out and of those that no view
-//! shows ([`super::comb`], [`super::ends`]).
+//! shows ([`super::periodic_lines`], [`super::board_ends`]).
 
 use rayon::prelude::*;
 

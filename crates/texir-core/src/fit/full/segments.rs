@@ -9,8 +9,7 @@ use super::colours::Colours;
 use super::labels::Labels;
 use super::{automatic, borders, hidden};
 use crate::atlas::Atlas;
-use crate::disjoint_sets::DisjointSets;
-use crate::fit::adjacency::{Adjacency, NONE};
+use crate::fit::adjacency::Adjacency;
 use crate::rooms::FloorPlan;
 
 /// Pieces of a segment that are smaller, square metres, are no faces of their own.
@@ -98,8 +97,7 @@ pub fn segment(
     let room =
         if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
-    let (segment, count) =
-        connected(in_room.len(), adjacency, &labels.backs, |a, b| in_room[a as usize] == in_room[b as usize]);
+    let (segment, count) = adjacency.regions(&labels.backs, |a, b| in_room[a as usize] == in_room[b as usize]);
     let face = faces((&segment, count), &labels.surface, adjacency, (SMALLEST_FACE / (texel * texel)) as usize);
     let mut of_segment = vec![(0, 0); count];
     segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
@@ -119,7 +117,7 @@ pub fn segment(
 /// leave nothing else of it.
 fn faces((segment, segments): (&[u32], usize), surface: &[u32], adjacency: &Adjacency, least: usize) -> Vec<u32> {
     let of = |t: u32| (segment[t as usize], surface[t as usize]);
-    let (piece, count) = connected(segment.len(), adjacency, &[], |a, b| of(a) == of(b));
+    let (piece, count) = adjacency.regions(&[], |a, b| of(a) == of(b));
     let mut texels = vec![0; count];
     piece.iter().for_each(|p| texels[*p as usize] += 1);
     let mut numbers = segments as u32..;
@@ -143,38 +141,6 @@ pub(super) fn spread(known: Vec<Option<u16>>, adjacency: &Adjacency, otherwise: 
         }
     }
     labels.into_iter().enumerate().map(|(i, label)| label.unwrap_or_else(|| otherwise(i))).collect()
-}
-
-/// Numbers the regions of `count` texels in which neighbours, and the `pairs` besides, belong together.
-pub(super) fn connected(
-    count: usize,
-    adjacency: &Adjacency,
-    pairs: &[[u32; 2]],
-    together: impl Fn(u32, u32) -> bool,
-) -> (Vec<u32>, usize) {
-    let mut sets = DisjointSets::new(count);
-    let mut join = |a: u32, b: u32| {
-        if together(a, b) {
-            sets.join(a, b);
-        }
-    };
-    for i in 0..count as u32 {
-        adjacency.around(i).for_each(|n| join(i, n));
-    }
-    pairs.iter().for_each(|[a, b]| join(*a, *b));
-    let mut numbers = vec![NONE; count];
-    let mut regions = 0;
-    let numbered = (0..count as u32)
-        .map(|i| {
-            let root = sets.root(i) as usize;
-            if numbers[root] == NONE {
-                numbers[root] = regions;
-                regions += 1;
-            }
-            numbers[root]
-        })
-        .collect();
-    (numbered, regions as usize)
 }
 
 #[cfg(test)]

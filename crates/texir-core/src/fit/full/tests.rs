@@ -5,9 +5,9 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3, Vec3A};
 
 use super::albedo::{AlbedoProblem, Edges, Roughness};
-use super::hierarchy::{Parent, settle};
 use super::joints::{self, Judges, Lines};
 use super::observations::Observations;
+use super::parent::{Parent, settle};
 use super::scan::{Evidence, Tally, cost, minimum, scan};
 use super::share::Share;
 use crate::atlas::Atlas;
@@ -636,11 +636,11 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
 
 #[test]
 fn texels_that_no_pixel_sees_take_their_neighbours_label() {
-    use super::segments::{connected, spread};
+    use super::segments::spread;
     let known = |texel| [Some(1), None, Some(2)][usize::from(texel > 3) + usize::from(texel > 5)];
     let labels = spread((0..10).map(known).collect(), &strip(10), |_| 0);
     assert_eq!(labels, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
-    let (segments, count) = connected(10, &strip(10), &[], |a, b| labels[a as usize] == labels[b as usize]);
+    let (segments, count) = strip(10).regions(&[], |a, b| labels[a as usize] == labels[b as usize]);
     assert_eq!((segments[0], segments[9], count), (0, 1, 2));
 }
 

@@ -11,8 +11,9 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DQuat, DVec3, DVec4};
 
-use super::{Distortion, Importer, Shot, Source, files};
+use super::{Importer, Source};
 use crate::camera::{Camera, Projection};
+use crate::capture::{Distortion, Shot, files};
 use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 

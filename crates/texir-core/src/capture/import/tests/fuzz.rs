@@ -9,7 +9,7 @@ use crate::fuzz::{IMAGE, TEXT, survives};
 fn import(folder: &Path) {
     let Ok(read) = read(folder, &ImportOptions::default(), &Silent) else { return };
     for shot in &read.shots {
-        let lens = shot.distortion.and_then(|lens| super::lens::Undistortion::new(&shot.view.camera, lens));
+        let lens = shot.distortion.and_then(|lens| crate::capture::lens::Undistortion::new(&shot.view.camera, lens));
         if let Some(lens) = lens {
             assert!(lens.pinhole.pixels() <= 16 * shot.view.camera.pixels());
         }

@@ -1,7 +1,7 @@
 //! Undistorted photos against the scene that they show.
 
-use super::lens::Undistortion;
 use super::*;
+use crate::capture::lens::Undistortion;
 
 const PHOTO: (usize, usize) = (160, 120);
 

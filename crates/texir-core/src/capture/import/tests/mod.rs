@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::camera::{Camera, Projection};
-use crate::capture::Split;
+use crate::capture::{Distortion, Split, View};
 use crate::image_io::write_rgb;
 use crate::mesh_io::obj;
 use crate::progress::Silent;

@@ -40,7 +40,7 @@ fn is_image(path: &Path) -> bool {
 }
 
 /// `mesh.*`, else the only mesh among the folder's files.
-pub(in crate::capture) fn mesh(folder: &Path) -> Option<PathBuf> {
+pub(super) fn mesh(folder: &Path) -> Option<PathBuf> {
     let named = MESH.iter().map(|extension| folder.join("mesh").with_extension(extension)).find(|path| path.is_file());
     named.or_else(|| only(folder, &MESH))
 }
@@ -65,7 +65,7 @@ pub(super) fn with_extensions(folder: &Path, extensions: &[&str]) -> Vec<PathBuf
 
 /// Names for views from their file names: stems, and where two files share one, the whole path with `_` between its
 /// parts, and a number behind those that still clash.
-pub(in crate::capture) fn view_names<'a>(files: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+pub(super) fn view_names<'a>(files: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
     let stem = |file: &str| {
         let path = Path::new(file);
         let stem = if is_image(path) { path.file_stem() } else { path.file_name() };

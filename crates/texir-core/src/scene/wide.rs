@@ -11,8 +11,8 @@ use glam::Vec3A;
 use obvhs::aabb::Aabb;
 use obvhs::cwbvh::CwBvh;
 
+use super::hierarchy::MOST_LEVELS;
 use super::trace::{TraceHit, intersect};
-use crate::hierarchy::MOST_LEVELS;
 use crate::mesh::Mesh;
 use crate::real::V3;
 use crate::surface::Hit;
@@ -30,7 +30,7 @@ const MARGIN: f32 = 4.0 * f32::EPSILON;
 const TINY: f32 = 1e-20;
 
 /// A hierarchy over triangles.
-pub(crate) struct WideBvh {
+pub struct WideBvh {
     /// As obvhs numbers them.
     nodes: Vec<Node>,
     /// In the order of the leaves.
@@ -262,8 +262,8 @@ mod avx2 {
     use std::arch::x86_64::*;
 
     use super::{Node, Ray, SLAB_ROUNDING, WIDTH, WideBvh};
-    use crate::cpu::trace::TraceHit;
     use crate::real::V3;
+    use crate::scene::trace::TraceHit;
 
     #[target_feature(enable = "avx2")]
     pub fn closest(wide: &WideBvh, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
@@ -296,10 +296,10 @@ mod avx2 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::trace::{Exhaustive, Trace};
     use crate::mesh::Mesh;
     use crate::rng::hash2;
     use crate::scene::Scene;
+    use crate::scene::trace::{Exhaustive, Trace};
     use glam::{Vec2, Vec3};
 
     /// Triangles of all sizes in a unit cube, some of them parallel to its sides.
@@ -335,7 +335,7 @@ mod tests {
     fn every_node_test_finds_what_an_exhaustive_search_finds() {
         let scene = scene();
         let exact = Exhaustive(&scene.mesh);
-        let wide = scene.wide();
+        let wide = WideBvh::new(&scene.bvh, &scene.mesh);
         let mut hits = 0;
         for (origin, direction) in rays() {
             let expected = Trace::<f32>::closest(&exact, origin, direction);
@@ -372,7 +372,7 @@ mod tests {
             let away = i as f32 * 0.01;
             for x in [away, -away] {
                 let (origin, direction) = (V3([x, 0.5, 0.2]), V3([-x.signum(), 0.0, 0.0]));
-                let hit = scene.wide().closest(origin, direction, f32::INFINITY).unwrap();
+                let hit = scene.closest_within(origin, direction, f32::INFINITY).unwrap();
                 assert_eq!(hit.triangle, 0, "from {x}");
             }
         }
@@ -381,7 +381,7 @@ mod tests {
     #[test]
     fn rays_that_are_not_numbers_hit_nothing() {
         let scene = scene();
-        let wide = scene.wide();
+        let wide = WideBvh::new(&scene.bvh, &scene.mesh);
         let (numbers, nan) = (V3([0.5, 0.5, 0.5]), f32::NAN);
         for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([nan, 0.5, 0.5])] {
             for (origin, direction) in [(numbers, none), (none, numbers), (none, none)] {

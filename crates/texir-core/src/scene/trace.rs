@@ -1,9 +1,7 @@
-//! Closest hits: what finds them, of which there is [`Scene`](crate::scene::Scene) in `f32`, and an exhaustive search
-//! in any scalar as the oracle.
+//! Closest hits: what finds them, of which there is [`Scene`](super::Scene) in `f32`, and an exhaustive search in any
+//! scalar as the oracle.
 
-use crate::environment::Environment;
 use crate::mesh::Mesh;
-use crate::raster::Rgb;
 use crate::real::{Real, V3};
 
 /// A closest hit; see [`crate::surface::Hit`].
@@ -70,48 +68,5 @@ impl<R: Real> Trace<R> for Exhaustive<'_> {
             }
         }
         best
-    }
-}
-
-/// Texture-based lighting: the radiance arriving along a ray is the texture's value where the ray first meets the mesh.
-pub struct Lighting<'a, T> {
-    /// Finds the hits.
-    pub tracer: &'a T,
-    /// Outgoing radiance in the atlas.
-    pub radiance: &'a Rgb,
-    /// What rays see that miss the mesh; black where there is none.
-    pub environment: Option<&'a Environment>,
-}
-
-impl<T> Lighting<'_, T> {
-    /// Radiance arriving at `origin` from `direction`: nearest texel at the hit, the environment on a miss.
-    pub fn incoming<R: Real>(&self, origin: V3<R>, direction: V3<R>) -> V3<R>
-    where
-        T: Trace<R>,
-    {
-        match self.tracer.closest(origin, direction) {
-            Some(hit) => self.radiance_at(&hit),
-            None => self.beyond(direction),
-        }
-    }
-
-    /// Radiance of the environment in `direction`.
-    pub fn beyond<R: Real>(&self, direction: V3<R>) -> V3<R> {
-        self.environment.map_or(V3::zero(), |environment| environment.towards(direction))
-    }
-
-    /// Outgoing radiance at a hit: the nearest texel.
-    pub fn radiance_at<R: Real>(&self, hit: &TraceHit<R>) -> V3<R>
-    where
-        T: Trace<R>,
-    {
-        let [a, b, c] = self.tracer.mesh().corner_uvs(hit.triangle).map(|uv| uv.to_array());
-        let w = R::of(1.0) - hit.u - hit.v;
-        let uv: [f64; 2] = std::array::from_fn(|i| {
-            let [a, b, c] = [a[i], b[i], c[i]].map(|x| R::of(f64::from(x)));
-            (a * w + b * hit.u + c * hit.v).value()
-        });
-        let texel = |x: f64, size: usize| ((x * size as f64) as usize).min(size - 1);
-        V3::of(*self.radiance.at(texel(uv[0], self.radiance.width), texel(uv[1], self.radiance.height)))
     }
 }

@@ -1,17 +1,20 @@
 //! The mesh with its acceleration structure: what every tracing pass runs on.
 
+mod hierarchy;
+pub mod trace;
+mod wide;
+
 use std::sync::OnceLock;
 
 use glam::Vec3;
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 
-use crate::cpu::trace::{Trace, TraceHit};
-use crate::cpu::wide::WideBvh;
 use crate::error::{Error, Result};
-use crate::hierarchy;
 use crate::mesh::Mesh;
 use crate::real::V3;
+use trace::{Trace, TraceHit};
+use wide::WideBvh;
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
@@ -70,9 +73,10 @@ impl Scene {
         Ok(Self { mesh, bvh, wide: OnceLock::new() })
     }
 
-    /// The hierarchy as the host traces it.
-    pub(crate) fn wide(&self) -> &WideBvh {
-        self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh))
+    /// [`Trace::closest`] nearer than `length`.
+    pub(crate) fn closest_within(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> Option<TraceHit<f32>> {
+        let wide = self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh));
+        wide.closest(origin, direction, length)
     }
 
     /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.
@@ -87,7 +91,7 @@ impl Trace<f32> for Scene {
     }
 
     fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        self.wide().closest(origin, direction, f32::INFINITY)
+        self.closest_within(origin, direction, f32::INFINITY)
     }
 }
 

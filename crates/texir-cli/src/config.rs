@@ -1,0 +1,226 @@
+//! Options of every command, and settings: `--config` gives defaults; what is typed wins.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+use texir_core::fit::{FitSettings, Mode};
+use texir_core::text_file::read_text;
+use toml::{Table, Value};
+
+use crate::failure::Failure;
+
+/// Options of every command.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Common options")]
+pub struct Common {
+    /// Where the passes run; `auto` takes a GPU where there is one [default: auto]
+    #[arg(long, global = true, value_enum)]
+    pub backend: Option<BackendChoice>,
+    /// Use the GPU adapter whose name contains NAME
+    #[arg(long, global = true, value_name = "NAME")]
+    pub adapter: Option<String>,
+    /// Seed of everything random; the same seed gives the same result on the same adapter [default: 0]
+    #[arg(long, global = true, value_name = "N")]
+    pub seed: Option<u32>,
+    /// Take settings from a TOML file, such as the settings.toml of an earlier fit
+    #[arg(long, global = true, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Change one setting of the file, such as fit.full.alternations=0
+    #[arg(long = "set", global = true, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Say more
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+    /// Say only what came out and what went wrong
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Print results as JSON on standard output
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// Where the passes run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BackendChoice {
+    /// A GPU where there is one; otherwise, and where a processor plays it, the CPU.
+    #[default]
+    Auto,
+    /// A GPU (a software adapter such as lavapipe counts), or an error.
+    Gpu,
+    /// The CPU.
+    Cpu,
+}
+
+/// A `--config` file, and what `settings.toml` holds.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Where the passes run.
+    pub backend: BackendChoice,
+    /// Part of the GPU adapter's name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+    /// The fit, and the seed of everything random.
+    pub fit: FitSettings,
+    /// What was typed after `--set`.
+    #[serde(skip)]
+    set: Vec<String>,
+}
+
+impl Config {
+    /// The file's settings, where one is given, under the typed ones.
+    pub fn resolve(common: &Common) -> Result<Self, Failure> {
+        // All settings are in it, so that one of several that belong together may be changed alone.
+        let mut table = Table::try_from(Self::default()).unwrap_or_default();
+        merge(&mut table, common.config.as_deref().map(read).transpose()?.unwrap_or_default());
+        for assignment in &common.set {
+            let change: Table = assignment.parse().map_err(|_| {
+                Failure::new(format!("--set {assignment}: expected KEY=VALUE, the value as TOML has it"))
+                    .help("text needs quotes, and those need quotes of the shell, as in --set 'fit.mode=\"paper\"'")
+            })?;
+            merge(&mut table, change);
+        }
+        let wrong = |what: &dyn Display| {
+            let from = common.config.as_ref().map_or("--set".to_owned(), |path| path.display().to_string());
+            Failure::new(format!("{from}: {what}"))
+                .help("every fit writes its settings to settings.toml, which is a complete example")
+        };
+        let file: Self = table.try_into().map_err(|e| wrong(&e))?;
+        file.fit.validate().map_err(|e| wrong(&e))?;
+        let seed = common.seed.unwrap_or(file.fit.seed);
+        let config = Self {
+            backend: common.backend.unwrap_or(file.backend),
+            adapter: common.adapter.clone().or(file.adapter),
+            fit: FitSettings { seed, ..file.fit },
+            set: common.set.clone(),
+        };
+        if let (BackendChoice::Cpu, Some(adapter)) = (config.backend, &config.adapter) {
+            return Err(Failure::new(format!("adapter \"{adapter}\" is a GPU's, but the backend is `cpu`"))
+                .help("leave out --adapter, or use --backend gpu"));
+        }
+        Ok(config)
+    }
+
+    /// Errors where a setting was typed that the fit's mode does not read. (A file may hold those of both.)
+    pub fn check_set(&self) -> Result<(), Failure> {
+        let (other, name) = match self.fit.mode {
+            Mode::Full => (Mode::Paper, "paper"),
+            Mode::Paper => (Mode::Full, "full"),
+        };
+        let is_idle = |assignment: &&String| {
+            let table: Table = assignment.parse().unwrap_or_default();
+            let fields = table.get("fit").and_then(Value::as_table);
+            fields.is_some_and(|fields| other.own_settings().iter().any(|name| fields.contains_key(*name)))
+        };
+        self.set.iter().find(is_idle).map_or(Ok(()), |idle| {
+            Err(Failure::new(format!("--set {idle}: only --mode {name} reads this setting"))
+                .help(format!("leave it out, or choose that mode (--set 'fit.mode=\"{name}\"')")))
+        })
+    }
+}
+
+fn read(path: &Path) -> Result<Table, Failure> {
+    read_text(path)?.parse().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}
+
+/// Puts `change` into `table`, joining tables of one name.
+fn merge(table: &mut Table, change: Table) {
+    for (key, value) in change {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(change)) => merge(inner, change),
+            (_, value) => drop(table.insert(key, value)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use texir_core::fit::settings::OwnSettings;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        common: Common,
+    }
+
+    fn common(arguments: &[&str]) -> Common {
+        Line::try_parse_from(["texir"].iter().chain(arguments)).unwrap().common
+    }
+
+    #[test]
+    fn typed_options_win_over_the_file() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "backend = \"cpu\"\n[fit]\nseed = 7\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let config = Config::resolve(&common(&["--config", path])).unwrap();
+        assert_eq!((config.fit.seed, config.backend), (7, BackendChoice::Cpu));
+        let config = Config::resolve(&common(&["--config", path, "--seed", "9"])).unwrap();
+        assert_eq!((config.fit.seed, config.backend), (9, BackendChoice::Cpu));
+    }
+
+    #[test]
+    fn single_settings_change() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[fit.stage_two]\nquantile = 0.3\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let config = Config::resolve(&common(&["--config", path, "--set", "fit.stage_two.enabled=false"])).unwrap();
+        assert_eq!((config.fit.stage_two.enabled, config.fit.stage_two.quantile), (false, 0.3));
+        assert!(Config::resolve(&common(&["--set", "fit.stage_two"])).is_err());
+        // One of several that have no defaults of their own.
+        let config = Config::resolve(&common(&["--set", "fit.full.roughness.colours.pull=0.25"])).unwrap();
+        let usual = FitSettings::default().full.roughness.colours;
+        assert_eq!(config.fit.full.roughness.colours, OwnSettings { pull: 0.25, ..usual });
+        let error = format!("{:?}", Config::resolve(&common(&["--set", "fit.mode=paper"])).unwrap_err());
+        assert!(
+            error.contains("--set fit.mode=paper: expected KEY=VALUE") && error.contains("text needs quotes"),
+            "{error}"
+        );
+        assert!(Config::resolve(&common(&["--set", "fit.mode=\"paper\""])).is_ok());
+        assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
+    }
+
+    #[test]
+    fn settings_of_the_other_mode_are_refused() {
+        let checked = |mode: &str, set: &str| {
+            Config::resolve(&common(&["--set", &format!("fit.mode=\"{mode}\""), "--set", set])).unwrap().check_set()
+        };
+        for (mode, other, set) in
+            [("full", "paper", "fit.stage_two.enabled=false"), ("paper", "full", "fit={full={alternations=3}}")]
+        {
+            let error = format!("{:?}", checked(mode, set).unwrap_err());
+            assert!(error.contains(set) && error.contains(&format!("fit.mode=\\\"{other}")), "{error}");
+            assert!(checked(other, set).is_ok() && checked(mode, "fit.emitter_ratio = 3.0").is_ok());
+        }
+    }
+
+    #[test]
+    fn own_settings_are_settings() {
+        let all = Table::try_from(FitSettings::default()).unwrap();
+        for mode in [Mode::Full, Mode::Paper] {
+            mode.own_settings().iter().for_each(|name| assert!(all.contains_key(*name), "{name}"));
+        }
+    }
+
+    #[test]
+    fn mistakes_name_the_file_and_the_field() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[fit]\nsede = 7\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let error = Config::resolve(&common(&["--config", path])).unwrap_err().to_string();
+        assert!(error.contains(path) && error.contains("sede"), "{error}");
+        assert!(Config::resolve(&common(&["--backend", "cpu", "--adapter", "llvmpipe"])).is_err());
+    }
+
+    #[test]
+    fn a_written_configuration_reads_back() {
+        let config = Config { fit: FitSettings { seed: 3, ..FitSettings::default() }, ..Config::default() };
+        let text = toml::to_string_pretty(&config).unwrap();
+        assert_eq!(toml::from_str::<Config>(&text).unwrap().fit, config.fit);
+    }
+}
