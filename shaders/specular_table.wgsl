@@ -121,9 +121,10 @@ struct Sample {
 fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
     let half = normalize(aim.direction + point.view);
     let across = cross(point.normal, half);
-    let sin2 = dot(across, across);
     let nl = dot(point.normal, aim.direction);
     let nv = dot(point.normal, point.view);
+    // From behind there is no half vector where the direction is the view's opposite, and NaN times no light is NaN.
+    let sin2 = select(0.0, dot(across, across), nl > 0.0 && nv > 0.0);
     let nh = saturate(dot(point.normal, half));
     let c = Cosines(saturate(nl), saturate(nv), nh, clamp(dot(point.view, half), 1e-6, 1.0));
     // A negative limit makes the traversal end at once for what does not count anyway.

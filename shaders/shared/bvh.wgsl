@@ -20,6 +20,9 @@ const MISS: u32 = 0xffffffffu;
 const T_FAR: f32 = 1e30;
 // Entries of the traversal stack: one per level of the hierarchy, which has at most 31 (hierarchy.rs).
 const STACK_SIZE: u32 = 32u;
+// By how much a triangle's back is taken to be further than it is, as a share of distance and origin: of two sheets in
+// one place that face opposite ways, a ray meets the one that faces it (the twin's BEHIND).
+const BEHIND: f32 = 7.62939453125e-6;
 // Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.00000024;
 
@@ -96,10 +99,14 @@ fn triangle_part(primitive: u32, part: u32) -> vec4f {
     return bitcast<vec4f>(triangle_word(primitive * 4u + part));
 }
 
-// The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997).
+// The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
+// backs as if BEHIND.
 fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
     let ray = traversal_ray(origin, direction);
+    let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
     var best = Intersection(MISS, 0.0, 0.0, t_max);
+    // How far it counts as.
+    var reach = t_max + BEHIND * (t_max + size);
     var stack: array<vec2u, STACK_SIZE>;
     var depth = 0u;
     // (index of the first child, hits by priority in the high 8 bits | mask of inner children): the root alone.
@@ -116,7 +123,7 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
                 stack[depth] = nodes;
                 depth += 1u;
             }
-            let hits = intersect_node(child, ray, best.t);
+            let hits = intersect_node(child, ray, reach);
             nodes = vec2u(hits.links.x, (hits.mask & 0xff000000u) | (hits.head.w >> 24u));
             leaf = vec2u(hits.links.y, hits.mask & 0x00ffffffu);
             if nodes.y <= 0x00ffffffu && depth > 0u {
@@ -142,8 +149,10 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
             let q = cross(s, e1);
             let v = dot(direction, q) * inverse;
             let t = dot(e2, q) * inverse;
-            if determinant != 0.0 && u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < best.t {
+            let counted = t + select(0.0, BEHIND * (t + size), determinant < 0.0);
+            if determinant != 0.0 && u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < t_max && counted < reach {
                 best = Intersection(primitive, u, v, t);
+                reach = counted;
             }
         }
     }

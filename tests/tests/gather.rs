@@ -399,3 +399,28 @@ fn engines_can_keep_backends() {
     is_kept::<CpuBackend>();
     is_kept::<GpuBackend>();
 }
+
+#[test]
+fn walls_that_are_there_from_both_sides_take_no_light() {
+    // As exporters write what is to be seen from both sides; turned, so that distances round apart.
+    let turn = glam::Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.1, -0.7);
+    let mut mesh = room().mesh.clone();
+    mesh.positions.iter_mut().for_each(|p| *p = turn * *p);
+    mesh.flat_normals();
+    let single = Arc::new(Scene::new(mesh.clone()).unwrap());
+    mesh.triangles.extend_from_within(..);
+    let half = mesh.triangles.len() / 2;
+    mesh.triangles[half..].iter_mut().for_each(|corners| corners.reverse());
+    let doubled = Arc::new(Scene::new(mesh).unwrap());
+    let points = points(&single, 400);
+    let gathered = |backend: &mut dyn Backend| {
+        // Backs are black, as in scenes that somebody made.
+        let mut lights = Lights::none(&backend.scene().mesh);
+        lights.density.iter_mut().for_each(|density| density.front_only = 1);
+        backend.set_tbl(&scenes::smooth_light(192), &lights).unwrap();
+        flat(&backend.irradiance(&points, Gather::new(128, 0, 5), &Silent).unwrap())
+    };
+    let one = gathered(&mut CpuBackend::new(single));
+    TRACED.check("two sheets on the CPU", &gathered(&mut CpuBackend::new(doubled.clone())), &one);
+    TRACED.check("two sheets on the GPU", &gathered(&mut GpuBackend::new(&gpu(), doubled).unwrap()), &one);
+}

@@ -109,7 +109,7 @@ fn texel_map() {
     // Not multiples of the tile, and coarse enough that charts meet within texels.
     for (width, height) in [(149, 131), (37, 20)] {
         let hits = backend.texels([width, height], 0..height).unwrap();
-        let bins = texels::TileBins::new(&scene.mesh, [width, height], 0..height);
+        let bins = texels::TileBins::new(&scene.mesh, [width, height], 0..height).unwrap();
         let corners = |t: u32| {
             scene.mesh.corner_uvs(t).map(|uv| [f64::from(uv.x) * width as f64, f64::from(uv.y) * height as f64])
         };

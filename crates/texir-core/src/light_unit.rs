@@ -1,17 +1,18 @@
-//! The unit in which light is computed with: half floats and shared exponents hold too little of some.
+//! The unit in which light is computed with: some steps take radiance below a thousandth for none, and half floats and
+//! shared exponents end. So that results do not depend on whether images are in nits or in shares of white, light is
+//! brought to about one first, whatever it was in.
 
-use std::ops::RangeInclusive;
+use crate::capture::View;
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::raster::{Rgb, mean_of_channels};
 
-use crate::raster::Rgb;
-
-/// Scenes are this bright on average, about, where numbers hold what is a thousand times as bright, or as dark.
-const USUAL: RangeInclusive<f64> = 1e-3..=1e2;
-
-/// What light of this mean radiance is multiplied with while it is computed with; a power of two, and 1 for what is usual.
+/// What light of this mean radiance is multiplied with while it is computed with, which brings it to between a half and
+/// one: a power of two, so that the way there and back changes no digit.
 pub fn unit(radiance: f64) -> f32 {
-    let is_usual = USUAL.contains(&radiance) || !(radiance > 0.0 && radiance.is_finite());
+    let is_known = radiance > 0.0 && radiance.is_finite();
     // The inverse is a number as well.
-    if is_usual { 1.0 } else { (-radiance.log2()).round().clamp(-120.0, 120.0).exp2() as f32 }
+    if is_known { (-radiance.log2()).floor().clamp(-120.0, 120.0).exp2() as f32 } else { 1.0 }
 }
 
 /// Brings light to another unit.
@@ -21,19 +22,47 @@ pub fn scale(map: &mut Rgb, factor: f32) {
     }
 }
 
+/// Brings what views show to another unit.
+pub fn scale_views<'a>(views: impl IntoIterator<Item = &'a mut View>, factor: f32) {
+    views.into_iter().for_each(|view| view.scale = view.scale.map(|scale| scale * factor));
+}
+
+/// The views in the [`unit`] of what they show, and that unit. All images are read once.
+pub fn in_own_unit(views: &[View], progress: &dyn Progress) -> Result<(Vec<View>, f32)> {
+    let (mut sum, mut count) = (0.0, 0u64);
+    progress.start("brightness", views.len() as u64, "views");
+    for view in views {
+        progress.check()?;
+        let image = view.load_image(progress)?;
+        let usable = view.usable(&image)?;
+        for (radiance, _) in image.data.iter().zip(&usable.data).filter(|(_, usable)| **usable) {
+            sum += f64::from(mean_of_channels(*radiance));
+            count += 1;
+        }
+        progress.advance(1);
+    }
+    progress.finish();
+    let unit = unit(sum / count as f64);
+    let mut views = views.to_vec();
+    scale_views(&mut views, unit);
+    Ok((views, unit))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn light_of_unusual_brightness_is_brought_to_about_one_and_back() {
-        assert_eq!([1e-3, 0.3, 1.0, 1e2, 0.0, f64::NAN, f64::INFINITY].map(unit), [1.0; 7]);
+    fn light_is_brought_to_about_one_and_back() {
+        assert_eq!([0.0, -1.0, f64::NAN, f64::INFINITY].map(unit), [1.0; 4], "what is no radiance stays");
+        assert_eq!([0.51, 1.0, 0.5, 2.0, 3.0].map(unit), [1.0, 1.0, 2.0, 0.5, 0.25]);
         for radiance in [1e-300, 1e-30, 1e-4, 2e3, 1e30, 1e300] {
             let unit = unit(radiance);
             assert!(unit.is_normal() && unit.recip().is_normal() && unit * unit.recip() == 1.0, "{radiance}: {unit}");
         }
         for radiance in [1e-30, 1e-4, 2e3, 1e30] {
-            assert!((0.7..1.5).contains(&(radiance * f64::from(unit(radiance)))), "{radiance}");
+            let brought = radiance * f64::from(unit(radiance));
+            assert!((0.5..=1.0).contains(&brought), "{radiance}: {brought}");
         }
     }
 }

@@ -74,9 +74,9 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// From radiance per node; what half floats cannot hold is cut to their largest value.
+    /// From radiance per node; what half floats cannot hold is cut to their largest value, and what is no number is 0.
     pub fn new(nodes: [[f32; 3]; NODES]) -> Self {
-        Self { nodes: nodes.map(|n| n.map(|c| f16::from_f32(c.min(f16::MAX.to_f32())))) }
+        Self { nodes: nodes.map(|n| n.map(|c| f16::from_f32(c.max(0.0).min(f16::MAX.to_f32())))) }
     }
 
     /// Radiance at a node.

@@ -78,7 +78,9 @@ impl Pyramid {
     /// none).
     pub fn bilinear(&self, level: usize, uv: Vec2) -> Vec<Tap> {
         let l = self.levels[level];
-        let p = uv * Vec2::new(l.width as f32, l.height as f32) - 0.5;
+        // A texel covers two by two of the finer level, also where sizes are odd and the last covers fewer.
+        let atlas = self.levels[0];
+        let p = uv * Vec2::new(atlas.width as f32, atlas.height as f32) / (1u64 << level) as f32 - 0.5;
         let base = p.floor();
         let f = p - base;
         let mut taps = Vec::with_capacity(4);
@@ -353,6 +355,20 @@ mod tests {
         for (u, expected) in [(0.375, 1.0), (0.5, 1.5), (0.8125, 2.75), (0.0, 0.0), (1.0, 3.0)] {
             let found = ramp(&pyramid.bilinear(0, Vec2::new(u, 0.5)));
             assert!((found - expected).abs() < 1e-6, "{found} at {u}; expected {expected}");
+        }
+    }
+
+    #[test]
+    fn coarse_levels_of_odd_sizes_are_looked_up_where_they_are() {
+        // Every texel holds its place, so that coarse texels hold the middle of what they cover.
+        const SIDE: usize = 1000;
+        let pyramid = Pyramid::new(SIDE, 1, &[true; SIDE]);
+        let place: Vec<f32> = (0..SIDE).map(|x| (x as f32 + 0.5) / SIDE as f32).collect();
+        let all = [&place[..], &reduce(&pyramid, &place, 1, pyramid.levels.len())].concat();
+        for (level, u) in (0..7).flat_map(|level| [0.2, 0.55, 0.9].map(|u| (level, u))) {
+            let found: f32 =
+                pyramid.bilinear(level, Vec2::new(u, 0.5)).iter().map(|tap| all[tap.texel as usize] * tap.weight).sum();
+            assert!((found - u).abs() < 1e-5, "{found} at {u} of level {level}");
         }
     }
 

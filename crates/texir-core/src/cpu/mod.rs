@@ -128,7 +128,7 @@ impl Backend for CpuBackend {
 
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
         let (mesh, [width, height]) = (&self.scene.mesh, size);
-        let bins = texels::TileBins::new(mesh, size, rows.clone());
+        let bins = texels::TileBins::new(mesh, size, rows.clone())?;
         let corners = |t: u32| mesh.corner_uvs(t).map(|uv| [uv.x * width as f32, uv.y * height as f32]);
         let hit = |i: usize| {
             let (x, y) = (i % width, i / width);

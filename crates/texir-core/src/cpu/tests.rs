@@ -321,3 +321,17 @@ fn light_samples_change_the_noise_and_not_the_mean() {
     let biased: Vec<f64> = all.iter().map(|g| f64::from(g.irradiance[0])).collect();
     assert!(error(&biased).0.abs() > 0.004, "{}", error(&biased).0);
 }
+
+#[test]
+fn an_atlas_that_all_triangles_fill_is_an_error_before_it_fills_the_memory() {
+    let uvs = vec![Vec2::ZERO, Vec2::X, Vec2::ONE];
+    let mesh = Mesh {
+        positions: vec![Vec3::ZERO, Vec3::X, Vec3::ONE],
+        normals: vec![Vec3::Z; 3],
+        uvs,
+        triangles: vec![[0, 1, 2]; 100_000],
+    };
+    // 128² tiles, each with all triangles.
+    let error = super::texels::TileBins::new(&mesh, [2048, 2048], 0..2048).unwrap_err().to_string();
+    assert!(error.contains("lie over each other"), "{error}");
+}

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use glam::Vec2;
 
+use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::real::Real;
 
@@ -13,6 +14,9 @@ pub const TILE: usize = 16;
 /// A triangle touches a texel when it comes this close to its centre, in texels: the texel's circumscribed circle, so
 /// that every triangle that overlaps the texel's square is found.
 pub const REACH: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// Triangles in the lists of all tiles together, at most: a gigabyte, hundreds for every tile of the largest atlas.
+const MOST: usize = 1 << 28;
 
 /// Triangles by tile of the atlas, each list ascending: what a texel's thread has to look through.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,29 +33,46 @@ pub struct TileBins {
 
 impl TileBins {
     /// Bins every triangle into the tiles that its bounds, grown by [`REACH`], touch: those that hold `rows` of an
-    /// atlas of `[width, height]` texels.
-    pub fn new(mesh: &Mesh, [width, height]: [usize; 2], rows: Range<usize>) -> Self {
+    /// atlas of `[width, height]` texels. Errors where more than 2²⁸ are in them together: triangles then lie over
+    /// each other by the thousands.
+    pub fn new(mesh: &Mesh, [width, height]: [usize; 2], rows: Range<usize>) -> Result<Self> {
         let columns = width.div_ceil(TILE);
         let (first_row, end_row) = (rows.start / TILE, rows.end.div_ceil(TILE));
-        let mut lists = vec![Vec::new(); columns * end_row.saturating_sub(first_row)];
-        for triangle in 0..mesh.triangles.len() as u32 {
+        let tiles_of = |triangle: u32| {
             let corners = mesh.corner_uvs(triangle).map(|uv| uv * Vec2::new(width as f32, height as f32));
             let low = corners.into_iter().reduce(Vec2::min).unwrap_or_default() - 1.0;
             let high = corners.into_iter().reduce(Vec2::max).unwrap_or_default() + 1.0;
             let tile = |x: f32, count: usize| ((x.max(0.0) as usize) / TILE).min(count.saturating_sub(1));
             let all_rows = height.div_ceil(TILE);
-            for ty in tile(low.y, all_rows).max(first_row)..(tile(high.y, all_rows) + 1).min(end_row) {
-                for tx in tile(low.x, columns)..=tile(high.x, columns) {
-                    lists[(ty - first_row) * columns + tx].push(triangle);
-                }
+            let across = tile(low.x, columns)..tile(high.x, columns) + 1;
+            (tile(low.y, all_rows).max(first_row)..(tile(high.y, all_rows) + 1).min(end_row))
+                .flat_map(move |ty| across.clone().map(move |tx| (ty - first_row) * columns + tx))
+        };
+        // Where the lists of the tiles end; then, while they are filled, where their next entries go.
+        let mut ends = vec![0u32; columns * end_row.saturating_sub(first_row) + 1];
+        let mut entries = 0;
+        for triangle in 0..mesh.triangles.len() as u32 {
+            tiles_of(triangle).for_each(|tile| {
+                ends[tile + 1] += 1;
+                entries += 1;
+            });
+            if entries > MOST {
+                return Err(Error::invalid(format!(
+                    "the mesh's triangles lie over each other in the atlas, so many that more than {MOST} are near its texels; expected \
+                     a place of its own for each: give the mesh a new atlas (`texir import --unwrap`)"
+                )));
             }
         }
-        let mut bins = TileBins { columns, first_row, offsets: vec![0], triangles: Vec::new() };
-        for list in lists {
-            bins.triangles.extend(list);
-            bins.offsets.push(bins.triangles.len() as u32);
+        (1..ends.len()).for_each(|tile| ends[tile] += ends[tile - 1]);
+        let offsets = ends.clone();
+        let mut triangles = vec![0; entries];
+        for triangle in 0..mesh.triangles.len() as u32 {
+            tiles_of(triangle).for_each(|tile| {
+                triangles[ends[tile] as usize] = triangle;
+                ends[tile] += 1;
+            });
         }
-        bins
+        Ok(Self { columns, first_row, offsets, triangles })
     }
 
     /// The candidates of texel (x, y).

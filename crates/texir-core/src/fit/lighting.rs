@@ -9,7 +9,7 @@ use crate::backend::Backend;
 use crate::capture::survey::Survey;
 use crate::capture::{Tbl, View};
 use crate::error::Result;
-use crate::light_unit::{scale, unit};
+use crate::light_unit::{scale, scale_views, unit};
 use crate::progress::Progress;
 use crate::tbl::{self, TblOptions};
 
@@ -56,7 +56,7 @@ pub(super) fn lighting(
     let survey = Survey::new(backend, &training, progress)?;
     survey.warnings().iter().for_each(|what| progress.warn(what));
     let unit = unit(survey.radiance());
-    training.iter_mut().chain(&mut views).for_each(|view| view.scale = view.scale.map(|factor| factor * unit));
+    scale_views(training.iter_mut().chain(&mut views), unit);
     let mut tbl = match given {
         Some(mut tbl) => {
             scale(&mut tbl.radiance, unit);

@@ -64,9 +64,11 @@ fn render_each<const N: usize>(renderer: &mut Renderer<'_>, textures: [&Textures
     renderer.render_each(&camera(), textures.each_ref(), &Silent).unwrap()
 }
 
-/// The camera's view of the scene, made of one `material`, by shading every sub-pixel.
-fn shaded(backend: &mut CpuBackend, material: Material) -> Rgb {
+/// The camera's view of the scene that `radiance` lights, made of one `material`, by shading every sub-pixel.
+fn shaded(backend: &mut CpuBackend, radiance: &Rgb, material: Material) -> Rgb {
     let scene = backend.scene().clone();
+    let atlas = Atlas::new(backend, radiance.width, radiance.height).unwrap();
+    backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance).unwrap()).unwrap();
     let fine = camera().supersampled(SUB_PIXELS);
     let hits = backend.primary(&fine, fine.rows()).unwrap();
     let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
@@ -96,7 +98,7 @@ fn views_agree_with_shading_of_every_sub_pixel() {
     let smith = Textures { masking: Masking::Smith, ..lambert.clone() };
     let [rendered, burley, smoother, smith] = render_each(&mut renderer, [&lambert, &burley, &smoother, &smith]);
 
-    let expected = shaded(&mut backend, Material::dielectric([ALBEDO; 3], roughness));
+    let expected = shaded(&mut backend, &radiance, Material::dielectric([ALBEDO; 3], roughness));
     let off = difference(&rendered, &expected);
     assert!(off < 0.01, "{off}");
     // Negative controls: another roughness, another diffuse model and another masking show.
@@ -115,7 +117,7 @@ fn metal_mirrors_in_its_own_colour() {
         let mut renderer = Renderer::new(&mut backend, &radiance, 8192, 1).unwrap();
         let [rendered, plain] = render_each(&mut renderer, [&metal, &dielectric]);
         let material = Material { metallic, ..Material::dielectric([ALBEDO; 3], 0.3) };
-        let expected = shaded(&mut backend, material);
+        let expected = shaded(&mut backend, &radiance, material);
         let off = difference(&rendered, &expected);
         assert!(off < 0.02, "metallic {metallic}: {off}");
         assert!(difference(&plain, &expected) > 10.0 * off, "metallic {metallic}: {off}");

@@ -12,7 +12,7 @@ use obvhs::aabb::Aabb;
 use obvhs::cwbvh::CwBvh;
 
 use super::hierarchy::MOST_LEVELS;
-use super::trace::{TraceHit, intersect};
+use super::trace::{BEHIND, TraceHit, intersect};
 use crate::mesh::Mesh;
 use crate::real::V3;
 use crate::surface::Hit;
@@ -154,7 +154,7 @@ impl WideBvh {
         all
     }
 
-    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle.
+    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle; backs as if [`BEHIND`].
     pub fn closest(&self, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
@@ -175,7 +175,11 @@ impl WideBvh {
         test: impl Fn(&Node, &Ray, f32) -> ([f32; WIDTH], u32),
     ) -> Option<TraceHit<f32>> {
         let ray = Ray::new(origin, direction);
+        let size = origin.0.into_iter().fold(0.0, |size: f32, x| size.max(x.abs()));
         let mut best = TraceHit { triangle: Hit::NONE, u: 0.0, v: 0.0, t: t_max, back: false };
+        // How far it counts as.
+        let counted = |t: f32, back: bool| if back { t + BEHIND as f32 * (t + size) } else { t };
+        let mut reach = counted(t_max, true);
         // The nearest on top.
         let mut stack = ArrayVec::<StackEntry, STACK_SIZE>::new();
         let mut child = Child::ROOT;
@@ -183,7 +187,7 @@ impl WideBvh {
             // Down to a leaf, unless nothing on the way is entered.
             while !child.is_leaf() {
                 let node = &self.nodes[child.0 as usize];
-                let (distances, entered) = test(node, &ray, best.t);
+                let (distances, entered) = test(node, &ray, reach);
                 match nearest(node, &distances, entered, &mut stack) {
                     Some(nearest) => child = nearest,
                     None => break,
@@ -192,16 +196,15 @@ impl WideBvh {
             if child.is_leaf() {
                 for primitive in &self.primitives[child.primitives()] {
                     let edges = primitive.edges.map(V3);
-                    if let Some(hit) = intersect(primitive.triangle, V3(primitive.corner), edges, origin, direction)
-                        && hit.t < best.t
-                    {
-                        best = hit;
+                    let hit = intersect(primitive.triangle, V3(primitive.corner), edges, origin, direction);
+                    if let Some(hit) = hit.filter(|hit| hit.t < t_max && counted(hit.t, hit.back) < reach) {
+                        (best, reach) = (hit, counted(hit.t, hit.back));
                     }
                 }
             }
             child = loop {
                 match stack.pop() {
-                    Some(entered) if entered.distance <= best.t => break entered.child,
+                    Some(entered) if entered.distance <= reach => break entered.child,
                     Some(_) => {}
                     None => return (best.triangle != Hit::NONE).then_some(best),
                 }
@@ -300,7 +303,7 @@ mod tests {
     use crate::rng::hash2;
     use crate::scene::Scene;
     use crate::scene::trace::{Exhaustive, Trace};
-    use glam::{Vec2, Vec3};
+    use glam::{EulerRot, Quat, Vec2, Vec3};
 
     /// Triangles of all sizes in a unit cube, some of them parallel to its sides.
     fn scene() -> Scene {
@@ -389,5 +392,34 @@ mod tests {
                 assert!(wide.search(origin, direction, f32::INFINITY, portable).is_none());
             }
         }
+    }
+
+    #[test]
+    fn of_two_sheets_in_one_place_rays_meet_the_one_that_faces_them() {
+        // Cut along different diagonals, turned, and away from the origin, so that distances round apart.
+        let turn = Quat::from_euler(EulerRot::XYZ, 0.4, 1.1, -0.7);
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let place = |(x, y): (f32, f32)| turn * Vec3::new(2.0 * x, 2.0 * y, 0.3) + Vec3::new(7.0, -3.0, 5.0);
+        let mesh = Mesh {
+            positions: corners.map(place).to_vec(),
+            normals: vec![turn * Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO; 4],
+            triangles: vec![[0, 1, 2], [0, 2, 3], [1, 0, 3], [1, 3, 2]],
+        };
+        let scene = Scene::new(mesh).unwrap();
+        let mut crossed = [0u32; 2];
+        for i in 0..20_000 {
+            let unit = |k: u32| hash2(i, k) as f32 / u32::MAX as f32 * 2.0 - 1.0;
+            let side = if i % 2 == 0 { 1.0 } else { -1.0 };
+            let from = turn * Vec3::new(3.0 * unit(0), 3.0 * unit(1), 0.3 + side * (0.1 + 2.0 * unit(2).abs()))
+                + Vec3::new(7.0, -3.0, 5.0);
+            let to = place((0.99 * unit(3), 0.99 * unit(4)));
+            let (origin, direction) = (V3(from.to_array()), V3((to - from).normalize().to_array()));
+            let exhaustive = Trace::<f32>::closest(&Exhaustive(&scene.mesh), origin, direction).unwrap();
+            let hit = scene.closest(origin, direction).unwrap();
+            assert!(!hit.back && !exhaustive.back, "ray {i} from {from} to {to}");
+            crossed[(i % 2) as usize] += u32::from(hit.triangle < 2);
+        }
+        assert_eq!(crossed, [10_000, 0], "either side meets its own sheet");
     }
 }

@@ -18,6 +18,7 @@ use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::capture::View;
 use crate::error::Result;
+use crate::light_unit::in_own_unit;
 use crate::progress::Progress;
 use crate::raster::{Gray, mean_of_channels};
 use crate::scene::Scene;
@@ -52,7 +53,7 @@ const ENOUGH: usize = 500;
 const PLENTY: usize = 50_000;
 /// Pixels of the views that are compared, altogether: 256 MB.
 const PIXELS: usize = 1 << 26;
-/// Keeps quotients of black finite.
+/// Keeps quotients of black finite, where views are about 1 bright.
 const BLACK: f32 = 1e-4;
 
 /// The variance of the point spread beyond that of a pixel, square pixels along each axis, which is never negative;
@@ -64,7 +65,9 @@ pub fn measure(backend: &mut dyn Backend, views: &[View], progress: &dyn Progres
         pixels += view.camera.pixels();
         pixels <= PIXELS
     };
-    let cameras: Vec<Camera> = views.iter().take_while(within).map(|v| v.camera).collect();
+    let views: Vec<View> = views.iter().take_while(within).cloned().collect();
+    let (views, _) = in_own_unit(&views, progress)?;
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     measure_photos(backend, &cameras, |i| photo(&views[i], progress), progress)
 }
 

@@ -16,6 +16,7 @@ use crate::camera::Camera;
 use crate::capture::View;
 use crate::cholesky;
 use crate::error::{Error, Result};
+use crate::light_unit::in_own_unit;
 use crate::progress::Progress;
 
 /// Side of the atlas whose texels are compared: tens of thousands of them.
@@ -25,7 +26,7 @@ const SIDE: usize = 256;
 const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.05];
 /// Views that share no surface with others keep their exposure: the weight of that, in observations.
 const ANCHOR: f64 = 1e-6;
-/// Darker pixels hold noise.
+/// Darker pixels hold noise, where views are about 1 bright.
 const DARK: f32 = 1e-4;
 
 /// ln L of one texel in one view.
@@ -36,10 +37,10 @@ struct Sighting {
 }
 
 /// The factors per channel by which the views' radiance must be multiplied to agree with each other; their geometric
-/// mean is
-/// 1. A view that shares no surface with others has 1.
+/// mean is 1. A view that shares no surface with others has 1.
 pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let (views, _) = in_own_unit(views, progress)?;
     solve_photos(backend, &cameras, |i| photo(&views[i], progress), progress)
 }
 
@@ -70,6 +71,11 @@ pub(super) fn solve_photos(
     }
     progress.finish();
     texels.retain(|texel| texel.len() > 1);
+    if texels.is_empty() {
+        return Err(Error::invalid(
+            "exposures cannot be told: no surface is seen by two views, neither black nor masked",
+        ));
+    }
     let mut exposure = vec![[0.0; 3]; cameras.len()];
     for scale in SCALES {
         exposure = least_squares(&texels, &exposure, scale)?;

@@ -29,6 +29,7 @@ use crate::camera::Camera;
 use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
 use crate::inpaint;
+use crate::light_unit::{in_own_unit, scale};
 use crate::progress::Progress;
 use crate::raster::mean_of_channels;
 use crate::scene::Scene;
@@ -108,10 +109,13 @@ pub fn build(
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     let atlas = Atlas::new(backend, size.0, size.1)?;
-    build_in(backend, &atlas, views, options, progress)
+    let (views, unit) = in_own_unit(views, progress)?;
+    let mut tbl = build_in(backend, &atlas, &views, options, progress)?;
+    scale(&mut tbl.radiance, unit.recip());
+    Ok(tbl)
 }
 
-/// [`build`] in an atlas that is there.
+/// [`build`] in an atlas that is there, from views in the [`unit`](fn@crate::light_unit::unit) of what they show.
 pub(crate) fn build_in(
     backend: &mut dyn Backend,
     atlas: &Atlas,

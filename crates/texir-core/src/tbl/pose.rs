@@ -17,6 +17,7 @@ use crate::camera::Camera;
 use crate::capture::View;
 use crate::cholesky;
 use crate::error::Result;
+use crate::light_unit::in_own_unit;
 use crate::progress::Progress;
 use crate::raster::{Gray, mean_of_channels};
 use crate::stats::median;
@@ -36,7 +37,7 @@ const SCALE: f32 = 0.1;
 const DELTA: f32 = 2e-3;
 /// Surfaces that are seen at a smaller cosine are not compared: they move too far in the image.
 const MIN_COSINE: f32 = 0.2;
-/// Keeps the logarithm of black finite.
+/// Keeps the logarithm of black finite, where views are about 1 bright.
 const BLACK: f32 = 1e-4;
 
 /// A texel, and the ln L that other views show of it.
@@ -45,6 +46,7 @@ type Prediction = (Vec3, f32);
 /// The views' poses (camera to world), refined.
 pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Mat4>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let (views, _) = in_own_unit(views, progress)?;
     let refined = refine_photos(backend, cameras, |i| photo(&views[i], progress), progress)?;
     Ok(refined.iter().map(|camera| camera.world_from_camera).collect())
 }

@@ -1,12 +1,15 @@
 //! A room whose walls shine in a known pattern, seen by cameras through primary hits.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::{Mat4, Vec2, Vec3};
 
 use super::*;
 use crate::camera::Projection;
+use crate::capture::Split;
 use crate::cpu::CpuBackend;
+use crate::image_io::write_rgb;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::raster::{Mask, Rgb, mean_of_channels, mean_pixel};
@@ -726,4 +729,47 @@ fn blur_is_told_from_reflections_and_exposure() {
         let measured = measure(&noisy, &cameras);
         assert!(measured.is_none_or(|blur| blur < blur::SHARP), "{measured:?} of noisy images");
     }
+}
+
+/// Views of the room's pattern on disk, times `factor`.
+fn written(scene: &Arc<Scene>, folder: &Path, factor: f32) -> Vec<View> {
+    let view = |(i, camera): (usize, &Camera)| {
+        // Exposures that differ, so that there is something to be solved.
+        let gain = factor * [1.0, 1.6, 0.7, 1.2, 0.9][i];
+        let image = photograph(scene, camera, |p, _| pattern(p)).map(|l| l.map(|l| l * gain));
+        let path = folder.join(format!("{i} of {factor:e}.exr"));
+        write_rgb(&path, &image).unwrap();
+        View::new(i.to_string(), *camera, Split::Train, path)
+    };
+    many_cameras().iter().enumerate().map(view).collect()
+}
+
+#[test]
+fn light_may_be_in_any_unit() {
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let solved = |exponent: i32| {
+        let factor = f32::powi(2.0, exponent);
+        let views = written(&scene, folder.path(), factor);
+        let mut backend = CpuBackend::new(scene.clone());
+        let exposures = exposure::solve(&mut backend, &views, &Silent).unwrap();
+        let poses = pose::refine(&mut backend, &views[..2], &Silent).unwrap();
+        let built = build(&mut backend, &views, (64, 64), &TblOptions::default(), &Silent).unwrap();
+        let radiance: Vec<[f32; 3]> = built.radiance.data.iter().map(|l| l.map(|l| l / factor)).collect();
+        (exposures, poses, radiance)
+    };
+    let usual = solved(0);
+    assert!(usual.0.iter().any(|factor| (factor[0] - 1.0).abs() > 0.1), "there is something to be solved");
+    for exponent in [-20, 10] {
+        assert!(solved(exponent) == usual, "in a unit of 2^{exponent}");
+    }
+}
+
+#[test]
+fn exposures_of_views_that_show_nothing_alike_are_an_error() {
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let views = written(&scene, folder.path(), 1.0);
+    let error = exposure::solve(&mut CpuBackend::new(scene), &views[..1], &Silent).unwrap_err().to_string();
+    assert!(error.contains("no surface is seen by two views"), "{error}");
 }

@@ -30,7 +30,7 @@ pub(crate) struct TexelsParams {
 pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
     let kernel = ctx.kernel("texels", "texels", Some(("TILE", TILE as u32)))?;
     let ([width, height], count) = (size, size[0] * rows.len());
-    let bins = TileBins::new(mesh, size, rows.clone());
+    let bins = TileBins::new(mesh, size, rows.clone())?;
     let most = bins.offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
     let tile_rows = (bins.offsets.len() - 1) / bins.columns;
     let uvs: Vec<[glam::Vec2; 3]> = (0..mesh.triangles.len() as u32).map(|t| mesh.corner_uvs(t)).collect();

@@ -7,7 +7,7 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::bands::Bands;
-use super::blocks::{self, Patch};
+use super::blocks::{self, Blocks, Patch};
 use super::reflections::{self, Mirror};
 use super::rims;
 use super::share::Share;
@@ -22,7 +22,7 @@ use crate::error::{Error, Result};
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::FullSettings;
 use crate::progress::Progress;
-use crate::raster::{Mask, Raster};
+use crate::raster::{Mask, Rgb};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, PackedCurve, STRATA};
 use crate::surface::Hit;
@@ -70,6 +70,33 @@ impl Observations {
     /// True without pixels.
     pub fn is_empty(&self) -> bool {
         self.radiance.is_empty()
+    }
+
+    /// Adds those of a view that shows `image`, whose pixels belong to `blocks`, with the blocks' curves and white
+    /// curves.
+    fn take(&mut self, image: &Rgb, mut pixels: Vec<Pixel>, blocks: &[u32], curves: [Vec<PackedCurve>; 2]) {
+        // Pixels that see the same texels come together, and their curves with them: whoever goes through a band of the
+        // texels finds all that is known of its pixels together in memory.
+        let mut order: Vec<usize> = (0..pixels.len()).collect();
+        order.sort_by_key(|&i| pixels[i].shares[0].texel);
+        let number_of = renumbered(order.iter().map(|&i| blocks[i]), curves[0].len());
+        let first = self.curves.len() as u32;
+        for (all, curves) in [&mut self.curves, &mut self.white_curves].into_iter().zip(curves) {
+            let start = all.len();
+            all.extend_from_slice(&curves);
+            curves.iter().zip(&number_of).for_each(|(curve, number)| all[start + *number as usize] = *curve);
+        }
+        self.views.push(pixels.len());
+        for i in order {
+            let Pixel { pixel, ref mut shares, cosine, least_cosine, area, at_rim } = pixels[i];
+            self.radiance.push(Vec3A::from(image.data[pixel]));
+            self.cosine.push(cosine);
+            self.least_cosine.push(least_cosine);
+            self.at_rim.push(at_rim);
+            self.area.push(area);
+            self.block.push(first + number_of[blocks[i] as usize]);
+            self.rows.push(shares.drain(..));
+        }
     }
 
     /// Finds out from `rows` who sees which of `texels` texels.
@@ -140,83 +167,99 @@ impl Observer<'_> {
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let strata = Strata::new(backend, &view.camera)?;
-        let pixels: Vec<(usize, Vec<Share>)> = (0..view.camera.pixels())
-            .into_par_iter()
-            .filter(|&pixel| usable.data[pixel])
-            .filter_map(|pixel| Some((pixel, strata.texels(pixel, index, self.emitters)?)))
-            .collect();
-        let lit = |pixel: usize| image.data[pixel].iter().any(|v| *v > 0.0);
-        if !pixels.iter().any(|(pixel, _)| lit(*pixel)) {
+        let pixels = self.pixels(view, &usable, &strata, index);
+        if !pixels.iter().any(|seen| image.data[seen.pixel].iter().any(|v| *v > 0.0)) {
             progress.warn(&format!(
                 "view {:?} shows no lit surface: its image or mask is black, or it sees light sources alone",
                 view.name
             ));
         }
-        let mut left_out = vec![true; view.camera.pixels()];
-        pixels.iter().for_each(|(pixel, _)| left_out[*pixel] = false);
-        let at_rim = rims::beside(&view.camera, &left_out, rims::reach(self.settings.roughness.rim, &view.camera));
-        let label = |map: &Option<Raster<u16>>, pixel: usize| map.as_ref().map_or(0, |m| m.data[pixel]);
-        let seen_by = |&(pixel, _): &(usize, Vec<Share>)| {
+        let class = |pixel: usize| classes.as_ref().map_or(0, |map| map.data[pixel]);
+        let patch = |seen: &Pixel| Patch::of(&strata.points(seen.pixel), class(seen.pixel));
+        let patches: Vec<Patch> = pixels.par_iter().map(patch).collect();
+        let indices: Vec<usize> = pixels.iter().map(|seen| seen.pixel).collect();
+        let blocks = blocks::share(&indices, &patches, self.settings.squares(&view.camera));
+        let number = all.views.len() as u32;
+        let samples = LightSamples { observer: self, view, number, strata: &strata, blocks: &blocks };
+        let curves = samples.curves(backend, &format!("view-{number}"), DIELECTRIC_F0 as f32, progress)?;
+        let white_curves = match self.settings.metallic.enabled {
+            true => samples.curves(backend, &format!("view-{number}-white"), 1.0, progress)?,
+            false => Vec::new(),
+        };
+        all.take(&image, pixels, &blocks.of, [curves, white_curves]);
+        Ok(())
+    }
+
+    /// The pixels of a view that take part.
+    fn pixels(&self, view: &View, usable: &Mask, strata: &Strata, index: &TexelIndex) -> Vec<Pixel> {
+        let camera = &view.camera;
+        let seen = |pixel: usize| {
+            let shares = strata.texels(pixel, index, self.emitters)?;
             let points = strata.points(pixel);
             let cosines = points.each_ref().map(ShadePoint::cosine);
             let cosine = cosines.iter().sum::<f32>() / STRATA as f32;
             let least_cosine = cosines.into_iter().fold(1.0, f32::min);
-            let patch = Patch::of(&points, label(&classes, pixel));
-            let distance = patch.position.distance(view.camera.position());
-            let area = view.camera.solid_angle(pixel) * distance * distance / cosine.max(GRAZING);
-            ((cosine, least_cosine, area), patch)
+            let distance = Patch::of(&points, 0).position.distance(camera.position());
+            let area = camera.solid_angle(pixel) * distance * distance / cosine.max(GRAZING);
+            Some(Pixel { pixel, shares, cosine, least_cosine, area, at_rim: false })
         };
-        let (shown, patches): (Vec<(f32, f32, f32)>, Vec<Patch>) = pixels.par_iter().map(seen_by).unzip();
-        let indices: Vec<usize> = pixels.iter().map(|(pixel, _)| *pixel).collect();
-        let squares = self.settings.squares(&view.camera);
-        let angle = squares.edge as f32 * view.camera.pixel_angle();
-        let blocks = blocks::share(&indices, &patches, squares);
+        let mut pixels: Vec<Pixel> =
+            (0..camera.pixels()).into_par_iter().filter(|&pixel| usable.data[pixel]).filter_map(seen).collect();
+        let mut left_out = vec![true; camera.pixels()];
+        pixels.iter().for_each(|seen| left_out[seen.pixel] = false);
+        let at_rim = rims::beside(camera, &left_out, rims::reach(self.settings.roughness.rim, camera));
+        pixels.iter_mut().for_each(|seen| seen.at_rim = at_rim[seen.pixel]);
+        pixels
+    }
+}
+
+/// A pixel that takes part; see [`Observations`].
+struct Pixel {
+    /// Index into the image.
+    pixel: usize,
+    shares: Vec<Share>,
+    cosine: f32,
+    least_cosine: f32,
+    area: f32,
+    at_rim: bool,
+}
+
+/// What draws the light samples of a view.
+struct LightSamples<'a> {
+    observer: &'a Observer<'a>,
+    view: &'a View,
+    /// Which view of all it is.
+    number: u32,
+    strata: &'a Strata,
+    blocks: &'a Blocks,
+}
+
+impl LightSamples<'_> {
+    /// Specular radiance at `f0` of every block, each with what its neighbours know; kept as `step`.
+    fn curves(
+        &self,
+        backend: &mut dyn Backend,
+        step: &str,
+        f0: f32,
+        progress: &dyn Progress,
+    ) -> Result<Vec<PackedCurve>> {
+        let Self { observer: &Observer { settings, seed, checkpoints, .. }, view, strata, blocks, .. } = *self;
         let corners = &blocks.corners;
+        let sampling = settings.sampling(seed, self.number);
+        let mut skipped = view.camera.pixels();
+        let curves: Vec<Curve> = checkpoints.array(step, corners.len(), || {
+            skipped -= corners.len();
+            let points: Vec<[ShadePoint; STRATA]> =
+                corners.par_iter().map(|pixels| std::array::from_fn(|k| strata.points(pixels[k])[k])).collect();
+            backend.specular_tables(&points, f0, sampling, progress)
+        })?;
+        progress.advance(skipped as u64 * u64::from(sampling.rays()));
         let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
             Mirror::new(&strata.scene, *patch, &strata.points(corners[0])[0])
         };
         let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
-        let number = all.views.len() as u32;
-        let sampling = self.settings.sampling(self.seed, number);
-        let first = all.curves.len() as u32;
-        let mut tables = |step: &str, f0: f32| {
-            let mut skipped = view.camera.pixels();
-            let curves: Vec<Curve> = self.checkpoints.array(step, corners.len(), || {
-                skipped -= corners.len();
-                let points: Vec<[ShadePoint; STRATA]> =
-                    corners.par_iter().map(|pixels| std::array::from_fn(|k| strata.points(pixels[k])[k])).collect();
-                backend.specular_tables(&points, f0, sampling, progress)
-            })?;
-            progress.advance(skipped as u64 * u64::from(sampling.rays()));
-            Ok::<_, Error>(reflections::share(&curves, &blocks, &mirrors, angle, self.settings.curve_sharing))
-        };
-        let curves = tables(&format!("view-{number}"), DIELECTRIC_F0 as f32)?;
-        let white_curves = match self.settings.metallic.enabled {
-            true => tables(&format!("view-{number}-white"), 1.0)?,
-            false => Vec::new(),
-        };
-        // Pixels that see the same texels come together, and their curves with them: whoever goes through a band of the
-        // texels finds all that is known of its pixels together in memory.
-        let mut order: Vec<usize> = (0..pixels.len()).collect();
-        order.sort_by_key(|&i| pixels[i].1[0].texel);
-        let number_of = renumbered(order.iter().map(|&i| blocks.of[i]), corners.len());
-        for (all, curves) in [(&mut all.curves, curves), (&mut all.white_curves, white_curves)] {
-            let start = all.len();
-            all.extend_from_slice(&curves);
-            curves.iter().zip(&number_of).for_each(|(curve, number)| all[start + *number as usize] = *curve);
-        }
-        all.views.push(pixels.len());
-        for i in order {
-            let ((pixel, shares), (cosine, least_cosine, area)) = (&pixels[i], shown[i]);
-            all.radiance.push(Vec3A::from(image.data[*pixel]));
-            all.cosine.push(cosine);
-            all.least_cosine.push(least_cosine);
-            all.at_rim.push(at_rim[*pixel]);
-            all.area.push(area);
-            all.block.push(first + number_of[blocks.of[i] as usize]);
-            all.rows.push(shares.iter().copied());
-        }
-        Ok(())
+        let angle = settings.squares(&view.camera).edge as f32 * view.camera.pixel_angle();
+        Ok(reflections::share(&curves, blocks, &mirrors, angle, settings.curve_sharing))
     }
 }
 
@@ -286,7 +329,6 @@ mod tests {
     use crate::image_io::{read_rgb, write_png_mask, write_rgb};
     use crate::lights::Lights;
     use crate::progress::Silent;
-    use crate::raster::Rgb;
 
     #[test]
     fn unknown_pixels_are_no_observations() {
