@@ -12,7 +12,7 @@ fn same(a: &Path, b: &Path) -> bool {
 
 /// Errors where a folder that is to be written to has files that are read: before any work.
 pub fn check_folder(folder: &Path, inputs: &[PathBuf]) -> Result<(), Failure> {
-    let inside = |input: &&PathBuf| input.parent().is_some_and(|parent| same(parent, folder));
+    let inside = |input: &&PathBuf| input.exists() && input.parent().is_some_and(|parent| same(parent, folder));
     inputs.iter().find(inside).map_or(Ok(()), |input| {
         let input = input.file_name().unwrap_or_default().display();
         Err(Failure::new(format!("{}: has {input} in it, which the output is made of", folder.display()))

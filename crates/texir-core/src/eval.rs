@@ -1,7 +1,8 @@
 //! The evaluation protocol (method section 6): how far recovered materials and re-rendered views are from the truth.
 //!
 //! Images and albedo are compared after [`metrics::encode`], roughness as it is; the mask leaves light sources out.
-//! PSNR comes from the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to
+//! Radiance is encoded as it is, unless that would
+//! be white or black throughout (a capture in nits). PSNR comes from the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to
 //! 0 on both sides. Images are box-filtered over the pixel; true albedo and roughness are those at its centre, as
 //! renderers write them, and so are the recovered ones that they are compared with. Where the capture has true
 //! textures, they go through the same lookup, light and renderer: the ceiling of the protocol.
@@ -11,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::capture::{Capture, Split, Truth, View};
 use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb};
+use crate::light_unit::scale;
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
@@ -132,9 +134,9 @@ pub struct Evaluation {
 pub struct Evaluated<'a> {
     /// The view.
     pub view: &'a View,
-    /// The captured image, linear radiance.
+    /// The captured image, linear radiance; where that is far from 1 (a mean below 0.01 or above 16), brought there.
     pub image: &'a Rgb,
-    /// The view rendered from the result, linear radiance.
+    /// The view rendered from the result, likewise.
     pub rendered: &'a Rgb,
     /// What the view shows of the result's textures.
     pub surfaces: &'a Surfaces,
@@ -193,19 +195,22 @@ pub fn evaluate(
     let truth = capture.truth.as_ref().filter(|_| difference.is_none()).map(true_textures).transpose()?;
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
     progress.start("evaluating", rays, "rays");
+    let unit = shown_in(renderer.unit());
     let mut result = Subject::new(renderer, capture, textures, progress)?;
     let mut ceiling = truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
     for view in &capture.views {
-        let observed = Observed::load(view, progress)?;
-        let rendered = match &mut ceiling {
+        let observed = Observed::load(view, unit, progress)?;
+        let mut rendered = match &mut ceiling {
             Some(ceiling) => {
                 let each = [&result.textures, &ceiling.textures];
-                let [rendered, best] = renderer.render_each(&view.camera, each, progress)?;
+                let [rendered, mut best] = renderer.render_each(&view.camera, each, progress)?;
+                scale(&mut best, unit);
                 ceiling.evaluate(renderer, view, &observed, best)?;
                 rendered
             }
             None => renderer.render(&view.camera, &result.textures, progress)?,
         };
+        scale(&mut rendered, unit);
         let shown = result.evaluate(renderer, view, &observed, rendered)?;
         show(&Evaluated {
             view,
@@ -238,6 +243,12 @@ pub fn evaluate(
     })
 }
 
+/// What radiance is multiplied with before it is encoded for display, where `unit` brings it to about 1: that is left to
+/// captures whose images would otherwise be white or black throughout, and agree about it.
+fn shown_in(unit: f32) -> f32 {
+    if (1.0 / 16.0..=64.0).contains(&unit) { 1.0 } else { unit }
+}
+
 /// What the capture says about a view.
 struct Observed {
     image: Rgb,
@@ -247,13 +258,11 @@ struct Observed {
 }
 
 impl Observed {
-    fn load(view: &View, progress: &dyn Progress) -> Result<Self> {
-        Ok(Self {
-            image: view.load_image(progress)?,
-            albedo: view.load_albedo()?,
-            roughness: view.load_roughness()?,
-            mask: view.load_mask()?,
-        })
+    /// With the image times `unit`.
+    fn load(view: &View, unit: f32, progress: &dyn Progress) -> Result<Self> {
+        let mut image = view.load_image(progress)?;
+        scale(&mut image, unit);
+        Ok(Self { image, albedo: view.load_albedo()?, roughness: view.load_roughness()?, mask: view.load_mask()? })
     }
 }
 

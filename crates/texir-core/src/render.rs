@@ -120,6 +120,11 @@ impl<'a> Renderer<'a> {
         Ok(Self { backend, scene, unit, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
     }
 
+    /// What brings the light of the scene to about 1.
+    pub(crate) fn unit(&self) -> f32 {
+        self.unit
+    }
+
     /// The mesh that views are rendered of.
     pub fn mesh(&self) -> &Mesh {
         &self.scene.mesh

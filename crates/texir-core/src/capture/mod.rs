@@ -1,6 +1,7 @@
 //! A capture: a mesh, posed HDR views, and what is known about them. [`load`](fn@load) reads texir's own folder; [`import`]
 //! makes one of other programs' files.
 
+mod black;
 mod classes;
 mod corrections;
 mod files;

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::black::blank_black_areas;
 use super::sharpen::sharpen;
 use super::{Split, View};
 use crate::camera::Camera;
@@ -41,8 +42,9 @@ impl View {
     }
 
     /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or
-    /// infinite are unknown and NaN in all channels, negative channels are 0, and a warning says how many. So is all of
-    /// an image that is black throughout: what failed to be written must not pass for black paint.
+    /// infinite are unknown and NaN in all channels, negative channels are 0, and a warning says how many. So are areas
+    /// that are exactly black, and all of an image that is black throughout: what was cut out (a tripod), was not
+    /// covered or failed to be written must not pass for black paint. Surfaces reflect some of what light there is.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         self.image_with(f32::NAN, progress)
     }
@@ -61,6 +63,13 @@ impl View {
         let is_black = image.data.iter().flatten().all(|v| *v == 0.0);
         if is_black {
             progress.warn(&format!("{}: is black throughout, and left out", self.image.display()));
+        }
+        let cut_out = if is_black { 0 } else { blank_black_areas(&mut image) };
+        if cut_out > 0 {
+            progress.warn(&format!(
+                "{}: {cut_out} pixels in areas that are exactly black are taken for unknown",
+                self.image.display()
+            ));
         }
         if self.blur > 0.0 {
             sharpen(&mut image, self.blur, self.camera.wraps());

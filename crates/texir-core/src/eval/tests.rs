@@ -97,13 +97,22 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
 
 /// Evaluates the true textures after `change`.
 fn evaluated(change: impl Fn(&mut Textures)) -> Evaluation {
+    evaluated_in(1.0, change)
+}
+
+/// [`evaluated`] in a scene that is so many times as bright.
+fn evaluated_in(brightness: f32, change: impl Fn(&mut Textures)) -> Evaluation {
+    let lit = || {
+        let textures = textures();
+        Textures { irradiance: textures.irradiance.map(|e| e.map(|e| brightness * e)), ..textures }
+    };
     let scene = Arc::new(Scene::new(room()).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    let radiance = textures().irradiance;
+    let radiance = lit().irradiance;
     let mut renderer = Renderer::new(&mut backend, &radiance, 96, 3).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let capture = capture(folder.path(), &scene, &mut renderer, &textures());
-    let mut result = textures();
+    let capture = capture(folder.path(), &scene, &mut renderer, &lit());
+    let mut result = lit();
     change(&mut result);
     let mut shown = Vec::new();
     let evaluation =
@@ -147,6 +156,21 @@ fn the_scale_of_albedo_is_free_and_its_shape_is_not() {
     assert!(scaled.result.train.image.unwrap().psnr < 30.0);
     let tinted = evaluated(|t| t.albedo = t.albedo.map(|a| [a[0], 0.5 * a[1], a[2]]));
     assert!(tinted.result.train.albedo.unwrap().per_image.psnr < 30.0);
+}
+
+#[test]
+fn images_that_would_be_white_or_black_throughout_are_compared_at_another_brightness() {
+    let darker = |brightness: f32| {
+        let evaluation = evaluated_in(brightness, |t| t.albedo = t.albedo.map(|a| a.map(|c| 0.5 * c)));
+        [evaluation.result.train, evaluation.result.novel].map(|scores| scores.image.unwrap().psnr)
+    };
+    let usual = darker(1.0);
+    for brightness in [1e-4, 1e4] {
+        for (psnr, usual) in darker(brightness).into_iter().zip(usual) {
+            // Where they are brought to is within a factor of two of where they are usually.
+            assert!((psnr - usual).abs() < 6.0, "{psnr} dB at a brightness of {brightness}, {usual} usually");
+        }
+    }
 }
 
 #[test]

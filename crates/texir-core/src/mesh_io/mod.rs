@@ -33,6 +33,11 @@ struct RawMesh {
     warnings: Vec<String>,
 }
 
+/// Whether a file of this name is glTF, whose +Y is up.
+pub(crate) fn is_gltf(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
+}
+
 /// Reads `.obj`, `.ply`, `.glb` or `.gltf` (by extension).
 ///
 /// Triangles without area, unusable normals and single triangles without a place in the atlas are reported; anything

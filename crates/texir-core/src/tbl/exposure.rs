@@ -3,7 +3,7 @@
 //! A view `v` shows texel `t` with ln L(v, t) = g(v) + x(t), per channel: its exposure, and the texel's own radiance.
 //! Weighted least squares over all pairs has a closed form once the texels are eliminated; what views see differently
 //! for other reasons (reflections, somebody who walks by) is weighed down and the system solved again. Only differences
-//! between views can be found: the mean of g is 0.
+//! between views can be found: the median of g is 0, so that most views stay nearly as they are when a few differ.
 
 use rayon::prelude::*;
 
@@ -36,8 +36,8 @@ struct Sighting {
     log: [f64; 3],
 }
 
-/// The factors per channel by which the views' radiance must be multiplied to agree with each other; their geometric
-/// mean is 1. A view that shares no surface with others has 1.
+/// The factors per channel by which the views' radiance must be multiplied to agree with each other; their median is
+/// 1. A view that shares no surface with others has that.
 pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let (views, _) = in_own_unit(views, progress)?;
@@ -80,7 +80,15 @@ pub(super) fn solve_photos(
     for scale in SCALES {
         exposure = least_squares(&texels, &exposure, scale)?;
     }
-    Ok(exposure.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
+    let middle: [f64; 3] = std::array::from_fn(|c| middle(exposure.iter().map(|g| g[c]).collect()));
+    Ok(exposure.iter().map(|g| std::array::from_fn(|c| (middle[c] - g[c]).exp() as f32)).collect())
+}
+
+/// The median, of an even number the mean of both; 0 of none.
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
+    (at(values.len().saturating_sub(1) / 2) + at(values.len() / 2)) / 2.0
 }
 
 /// One weighted solution. The weights follow from how far the sightings of a texel are from their median under the
@@ -91,11 +99,7 @@ fn least_squares(texels: &[Vec<Sighting>], so_far: &[[f64; 3]], scale: f64) -> R
     let mut right = vec![[0.0; 3]; n];
     for texel in texels {
         let rest = |s: &Sighting, c: usize| s.log[c] - so_far[s.view][c];
-        let middle: [f64; 3] = std::array::from_fn(|c| {
-            let mut rests: Vec<f64> = texel.iter().map(|s| rest(s, c)).collect();
-            rests.sort_by(f64::total_cmp);
-            (rests[(rests.len() - 1) / 2] + rests[rests.len() / 2]) / 2.0
-        });
+        let middle: [f64; 3] = std::array::from_fn(|c| middle(texel.iter().map(|s| rest(s, c)).collect()));
         let weight = |s: &Sighting| {
             let off = (0..3).map(|c| ((rest(s, c) - middle[c]) / scale).powi(2)).sum::<f64>() / 3.0;
             1.0 / (1.0 + off)

@@ -3,8 +3,8 @@
 //! Texels that other views see predict what a view shows of them. Gauss–Newton steps over the six degrees of freedom of
 //! a rigid motion lessen the difference in logarithmic luminance (direct image alignment, Lucas and Kanade 1981; in
 //! logarithms, so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view
-//! moves only where that lessens its difference; what views see differently for other reasons is weighed down (Cauchy
-//! weights).
+//! moves only where that lessens its difference; a view that is brighter than the others throughout is taken to be exposed
+//! so, and what views see differently for other reasons is weighed down (Cauchy weights).
 
 use glam::{DVec2, Mat4, Quat, Vec3};
 use rayon::prelude::*;
@@ -73,23 +73,40 @@ pub(super) fn refine_photos(
             };
             shown.push(projected.iter().map(log).collect());
         }
+        // Exposures of their own are no motion.
+        let exposures: Vec<f32> = (0..cameras.len()).map(|view| exposure(&shown, view)).collect();
+        for (logs, exposure) in shown.iter_mut().zip(exposures) {
+            logs.iter_mut().for_each(|log| *log -= exposure);
+        }
         for (view, camera) in cameras.iter_mut().enumerate() {
             progress.check()?;
-            let predictions: Vec<Prediction> = (0..points.len())
+            let mut predictions: Vec<Prediction> = (0..points.len())
                 .into_par_iter()
                 .filter(|&i| shown[view][i].is_finite())
-                .filter_map(|i| {
-                    let others = shown.iter().enumerate().filter(|(other, _)| *other != view).map(|(_, logs)| logs[i]);
-                    let mut others: Vec<f32> = others.filter(|log| log.is_finite()).collect();
-                    Some((Vec3::from(points[i].position), median(&mut others)?))
-                })
+                .filter_map(|i| Some((Vec3::from(points[i].position), others(&shown, view, i)?)))
                 .collect();
-            *camera = align(*camera, &log_means(&load(view)?), &predictions);
+            let image = log_means(&load(view)?);
+            let mut brighter: Vec<f32> = predictions.iter().filter_map(|p| residual(camera, &image, p)).collect();
+            let exposure = median(&mut brighter).unwrap_or(0.0);
+            predictions.iter_mut().for_each(|(_, log)| *log += exposure);
+            *camera = align(*camera, &image, &predictions);
             progress.advance(1);
         }
     }
     progress.finish();
     Ok(cameras)
+}
+
+/// The median of the ln L that the other views show of point `i`, if any does.
+fn others(shown: &[Vec<f32>], view: usize, i: usize) -> Option<f32> {
+    let others = shown.iter().enumerate().filter(|(other, _)| *other != view).map(|(_, logs)| logs[i]);
+    median(&mut others.filter(|log| log.is_finite()).collect::<Vec<f32>>())
+}
+
+/// By how much a view is brighter than the others, in ln L: the median over the points that it shows with them.
+fn exposure(shown: &[Vec<f32>], view: usize) -> f32 {
+    let brighter = |i: usize| Some(shown[view][i] - others(shown, view, i)?).filter(|brighter| brighter.is_finite());
+    median(&mut (0..shown[view].len()).filter_map(brighter).collect::<Vec<f32>>()).unwrap_or(0.0)
 }
 
 /// ln of the mean of the channels; NaN where a pixel must not be used.
