@@ -27,7 +27,7 @@ pub fn scale_views<'a>(views: impl IntoIterator<Item = &'a mut View>, factor: f3
     views.into_iter().for_each(|view| view.scale = view.scale.map(|scale| scale * factor));
 }
 
-/// The views in the [`unit`] of what they show, and that unit. All images are read once.
+/// The views in the [`unit`](fn@unit) of what they show, and that unit. All images are read once.
 pub fn in_own_unit(views: &[View], progress: &dyn Progress) -> Result<(Vec<View>, f32)> {
     let (mut sum, mut count) = (0.0, 0u64);
     progress.start("brightness", views.len() as u64, "views");
