@@ -38,8 +38,8 @@ impl Session<'_> {
         }
     }
 
-    /// What becomes of kept steps after an error: it is said where they are when a run was stopped; nothing stays where none
-    /// is kept.
+    /// What becomes of kept steps after an error: it is said where they are when a run was stopped; nothing stays where
+    /// none is kept.
     pub fn goes_on(&self, e: &Error, checkpoints: &Checkpoints, partial: &Path) {
         match (checkpoints.any(), e) {
             (false, _) => checkpoints.clone().finish(),

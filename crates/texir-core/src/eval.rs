@@ -1,11 +1,11 @@
 //! The evaluation protocol (method section 6): how far recovered materials and re-rendered views are from the truth.
 //!
 //! Images and albedo are compared after [`metrics::encode`], roughness as it is; the mask leaves light sources out.
-//! Radiance is encoded as it is, unless that would
-//! be white or black throughout (a capture in nits). PSNR comes from the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to
-//! 0 on both sides. Images are box-filtered over the pixel; true albedo and roughness are those at its centre, as
-//! renderers write them, and so are the recovered ones that they are compared with. Where the capture has true
-//! textures, they go through the same lookup, light and renderer: the ceiling of the protocol.
+//! Radiance is encoded as it is, unless that would be white or black throughout (a capture in nits). PSNR comes from
+//! the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to 0 on both
+//! sides. Images are box-filtered over the pixel; true albedo and roughness are those at its centre, as renderers write
+//! them, and so are the recovered ones that they are compared with. Where the capture has true textures, they go
+//! through the same lookup, light and renderer: the ceiling of the protocol.
 
 use serde::{Deserialize, Serialize};
 
@@ -243,8 +243,8 @@ pub fn evaluate(
     })
 }
 
-/// What radiance is multiplied with before it is encoded for display, where `unit` brings it to about 1: that is left to
-/// captures whose images would otherwise be white or black throughout, and agree about it.
+/// What radiance is multiplied with before it is encoded for display, where `unit` brings it to about 1: that is left
+/// to captures whose images would otherwise be white or black throughout, and agree about it.
 fn shown_in(unit: f32) -> f32 {
     if (1.0 / 16.0..=64.0).contains(&unit) { 1.0 } else { unit }
 }

@@ -104,8 +104,8 @@ pub struct Renderer<'a> {
 }
 
 impl<'a> Renderer<'a> {
-    /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given in a unit in
-    /// which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least.
+    /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given in a unit
+    /// in which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least.
     pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
         let atlas = Atlas::new(backend, radiance.width, radiance.height)?;
         let scene = backend.scene().clone();

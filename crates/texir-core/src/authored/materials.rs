@@ -7,8 +7,8 @@ use serde_json::Value;
 
 use crate::error::{Error, Result};
 
-/// The materials of the file `source`, their sets of coordinates [moved](with_sets) if so. Errors on numbers that single
-/// precision does not hold.
+/// The materials of the file `source`, their sets of coordinates [moved](with_sets) if so. Errors on numbers that
+/// single precision does not hold.
 pub fn materials(source: &Path, all: Vec<Material>, moved: bool) -> Result<Vec<Material>> {
     let of_material = |(i, material): (usize, Material)| {
         with_sets(&material, moved).map_err(|e| {

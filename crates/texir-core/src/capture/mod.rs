@@ -1,5 +1,5 @@
-//! A capture: a mesh, posed HDR views, and what is known about them. [`load`](fn@load) reads texir's own folder; [`import`]
-//! makes one of other programs' files.
+//! A capture: a mesh, posed HDR views, and what is known about them. [`load`](fn@load) reads texir's own folder;
+//! [`import`] makes one of other programs' files.
 
 mod black;
 mod classes;

@@ -3,8 +3,8 @@
 //! Texels that other views see predict what a view shows of them. Gauss–Newton steps over the six degrees of freedom of
 //! a rigid motion lessen the difference in logarithmic luminance (direct image alignment, Lucas and Kanade 1981; in
 //! logarithms, so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view
-//! moves only where that lessens its difference; a view that is brighter than the others throughout is taken to be exposed
-//! so, and what views see differently for other reasons is weighed down (Cauchy weights).
+//! moves only where that lessens its difference; a view that is brighter than the others throughout is taken to be
+//! exposed so, and what views see differently for other reasons is weighed down (Cauchy weights).
 
 use glam::{DVec2, Mat4, Quat, Vec3};
 use rayon::prelude::*;
