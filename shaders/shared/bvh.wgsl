@@ -100,7 +100,7 @@ fn triangle_part(primitive: u32, part: u32) -> vec4f {
 }
 
 // The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
-// backs as if BEHIND.
+// backs count as BEHIND further.
 fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
     let ray = traversal_ray(origin, direction);
     let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));

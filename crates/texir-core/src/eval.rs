@@ -243,8 +243,8 @@ pub fn evaluate(
     })
 }
 
-/// What radiance is multiplied with before it is encoded for display, where `unit` brings it to about 1: that is left
-/// to captures whose images would otherwise be white or black throughout, and agree about it.
+/// What radiance is multiplied with before it is encoded for display, where `unit` would bring it to about 1: nothing
+/// is, unless images would be white or black throughout.
 fn shown_in(unit: f32) -> f32 {
     if (1.0 / 16.0..=64.0).contains(&unit) { 1.0 } else { unit }
 }

@@ -28,7 +28,8 @@ pub const BEHIND: f64 = 1.0 / (1 << 17) as f64;
 pub trait Trace<R: Real>: Sync {
     /// The mesh that is traced.
     fn mesh(&self) -> &Mesh;
-    /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs as if [`BEHIND`].
+    /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs count as [`BEHIND`]
+    /// further.
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>>;
 }
 

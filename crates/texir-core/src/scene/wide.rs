@@ -154,8 +154,8 @@ impl WideBvh {
         all
     }
 
-    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle; backs as if
-    /// [`BEHIND`].
+    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle; backs count as
+    /// [`BEHIND`] further.
     pub fn closest(&self, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
