@@ -88,7 +88,7 @@ impl Observations {
         }
         self.views.push(pixels.len());
         for i in order {
-            let Pixel { pixel, ref mut shares, cosine, least_cosine, area, at_rim } = pixels[i];
+            let Pixel { pixel, ref mut shares, cosine, least_cosine, area, at_rim, .. } = pixels[i];
             self.radiance.push(Vec3A::from(image.data[pixel]));
             self.cosine.push(cosine);
             self.least_cosine.push(least_cosine);
@@ -167,20 +167,19 @@ impl Observer<'_> {
         let usable = view.usable(&image)?;
         let classes = view.load_semantic()?;
         let strata = Strata::new(backend, &view.camera)?;
-        let pixels = self.pixels(view, &usable, &strata, index);
+        let class = |pixel: usize| classes.as_ref().map_or(0, |map| map.data[pixel]);
+        let pixels = self.pixels(view, &usable, class, &strata, index);
         if !pixels.iter().any(|seen| image.data[seen.pixel].iter().any(|v| *v > 0.0)) {
             progress.warn(&format!(
                 "view {:?} shows no lit surface: its image or mask is black, or it sees light sources alone",
                 view.name
             ));
         }
-        let class = |pixel: usize| classes.as_ref().map_or(0, |map| map.data[pixel]);
-        let patch = |seen: &Pixel| Patch::of(&strata.points(seen.pixel), class(seen.pixel));
-        let patches: Vec<Patch> = pixels.par_iter().map(patch).collect();
+        let patches: Vec<Patch> = pixels.iter().map(|seen| seen.patch).collect();
         let indices: Vec<usize> = pixels.iter().map(|seen| seen.pixel).collect();
         let blocks = blocks::share(&indices, &patches, self.settings.squares(&view.camera));
         let number = all.views.len() as u32;
-        let samples = LightSamples { observer: self, view, number, strata: &strata, blocks: &blocks };
+        let samples = LightSamples::new(self, (view, number), &strata, &blocks);
         let curves = samples.curves(backend, &format!("view-{number}"), DIELECTRIC_F0 as f32, progress)?;
         let white_curves = match self.settings.metallic.enabled {
             true => samples.curves(backend, &format!("view-{number}-white"), 1.0, progress)?,
@@ -191,7 +190,14 @@ impl Observer<'_> {
     }
 
     /// The pixels of a view that take part.
-    fn pixels(&self, view: &View, usable: &Mask, strata: &Strata, index: &TexelIndex) -> Vec<Pixel> {
+    fn pixels(
+        &self,
+        view: &View,
+        usable: &Mask,
+        class: impl Fn(usize) -> u16 + Sync,
+        strata: &Strata,
+        index: &TexelIndex,
+    ) -> Vec<Pixel> {
         let camera = &view.camera;
         let seen = |pixel: usize| {
             let shares = strata.texels(pixel, index, self.emitters)?;
@@ -199,9 +205,10 @@ impl Observer<'_> {
             let cosines = points.each_ref().map(ShadePoint::cosine);
             let cosine = cosines.iter().sum::<f32>() / STRATA as f32;
             let least_cosine = cosines.into_iter().fold(1.0, f32::min);
-            let distance = Patch::of(&points, 0).position.distance(camera.position());
+            let patch = Patch::of(&points, class(pixel));
+            let distance = patch.position.distance(camera.position());
             let area = camera.solid_angle(pixel) * distance * distance / cosine.max(GRAZING);
-            Some(Pixel { pixel, shares, cosine, least_cosine, area, at_rim: false })
+            Some(Pixel { pixel, shares, patch, cosine, least_cosine, area, at_rim: false })
         };
         let mut pixels: Vec<Pixel> =
             (0..camera.pixels()).into_par_iter().filter(|&pixel| usable.data[pixel]).filter_map(seen).collect();
@@ -218,6 +225,7 @@ struct Pixel {
     /// Index into the image.
     pixel: usize,
     shares: Vec<Share>,
+    patch: Patch,
     cosine: f32,
     least_cosine: f32,
     area: f32,
@@ -232,9 +240,24 @@ struct LightSamples<'a> {
     number: u32,
     strata: &'a Strata,
     blocks: &'a Blocks,
+    /// What each block reflects.
+    mirrors: Vec<Mirror>,
 }
 
-impl LightSamples<'_> {
+impl<'a> LightSamples<'a> {
+    fn new(
+        observer: &'a Observer<'a>,
+        (view, number): (&'a View, u32),
+        strata: &'a Strata,
+        blocks: &'a Blocks,
+    ) -> Self {
+        let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
+            Mirror::new(&strata.scene, *patch, &strata.points(corners[0])[0])
+        };
+        let mirrors = blocks.patches.par_iter().zip(&blocks.corners).map(mirror).collect();
+        Self { observer, view, number, strata, blocks, mirrors }
+    }
+
     /// Specular radiance at `f0` of every block, each with what its neighbours know; kept as `step`.
     fn curves(
         &self,
@@ -243,7 +266,7 @@ impl LightSamples<'_> {
         f0: f32,
         progress: &dyn Progress,
     ) -> Result<Vec<PackedCurve>> {
-        let Self { observer: &Observer { settings, seed, checkpoints, .. }, view, strata, blocks, .. } = *self;
+        let &Self { observer: &Observer { settings, seed, checkpoints, .. }, view, strata, blocks, .. } = self;
         let corners = &blocks.corners;
         let sampling = settings.sampling(seed, self.number);
         let mut skipped = view.camera.pixels();
@@ -254,12 +277,8 @@ impl LightSamples<'_> {
             backend.specular_tables(&points, f0, sampling, progress)
         })?;
         progress.advance(skipped as u64 * u64::from(sampling.rays()));
-        let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
-            Mirror::new(&strata.scene, *patch, &strata.points(corners[0])[0])
-        };
-        let mirrors: Vec<Mirror> = blocks.patches.par_iter().zip(corners).map(mirror).collect();
         let angle = settings.squares(&view.camera).edge as f32 * view.camera.pixel_angle();
-        Ok(reflections::share(&curves, blocks, &mirrors, angle, settings.curve_sharing))
+        Ok(reflections::share(&curves, blocks, &self.mirrors, angle, settings.curve_sharing))
     }
 }
 
