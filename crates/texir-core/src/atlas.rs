@@ -1,9 +1,12 @@
 //! The atlas as surface points: which texels hold a piece of the mesh, and where in the world they are.
 
+mod crowded;
+
 use std::ops::Range;
 
 use glam::Vec2;
 
+pub use self::crowded::crowded;
 use crate::backend::Backend;
 use crate::error::{Error, Result};
 use crate::mesh::{Mesh, cross};

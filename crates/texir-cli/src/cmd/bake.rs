@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use texir_core::atlas::Atlas;
-use texir_core::backend::Gather;
+use texir_core::atlas::{self, Atlas};
+use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{self, Buried, Denoiser, Quality, Solution, Texels, Workspace};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
@@ -158,6 +158,7 @@ impl Bake {
         drop(radiance);
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
         let texels = Texels::map(backend.as_mut(), size, workspace, session.console)?;
+        self.warn_of_crowding(backend.as_mut(), size, session)?;
         let solution = bake::solve(backend.as_mut(), &texels, &quality, &checkpoints, session.console)
             .inspect_err(|e| session.goes_on(e, &checkpoints, &self.partial()))?;
         self.write(&solution, &texels, session)?;
@@ -169,6 +170,18 @@ impl Bake {
             let mean = rays as f64 / valid as f64;
             format!("{}: {width} × {height}, {valid} texels, {mean:.0} rays each", summary.output.display())
         })
+    }
+
+    /// Warns where charts lie too close together in the map.
+    fn warn_of_crowding(
+        &self,
+        backend: &mut dyn Backend,
+        size: [usize; 2],
+        session: &Session<'_>,
+    ) -> Result<(), Failure> {
+        let crowded = atlas::crowded(backend, size)?;
+        crowded.iter().for_each(|what| session.console.warn(&format!("{}: {what}", self.input.display())));
+        Ok(())
     }
 
     /// Errors where the map, or what `--stderr` writes, would replace what it is made of.

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::Args;
 use glam::{Mat4, Vec3};
 use serde::Serialize;
+use texir_core::atlas;
 use texir_core::backend::Backend;
 use texir_core::camera::{Camera, Projection};
 use texir_core::capture::import::{self, Import};
@@ -255,16 +256,8 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     let (low, high) = mesh.bounds();
     let mut unreadable = Vec::new();
     let blur = match origin.capture {
-        true => blur::measure(&mut backend, &training, session.console),
-        false => Ok(None),
-    };
-    let blur = match blur {
-        Err(Error::Cancelled) => return Err(Error::Cancelled.into()),
-        Err(e) => {
-            unreadable.push(e.to_string());
-            None
-        }
-        Ok(blur) => blur,
+        true => or_told(blur::measure(&mut backend, &training, session.console), &mut unreadable)?.flatten(),
+        false => None,
     };
     let classes = classes(&capture.views, &mut unreadable);
     let mut findings = Findings {
@@ -288,17 +281,26 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     findings.warnings.extend(unreadable);
     if findings.origin.capture {
         findings.warnings.extend(masked(&training, session)?);
-        match Survey::new(&mut backend, &training, session.console) {
-            Err(Error::Cancelled) => return Err(Error::Cancelled.into()),
-            Ok(survey) => findings.warnings.extend(survey.warnings()),
-            Err(e) if findings.warnings.contains(&e.to_string()) => {}
-            Err(e) => findings.warnings.push(e.to_string()),
-        }
+        let survey = Survey::new(&mut backend, &training, session.console);
+        let survey = or_told(survey, &mut findings.warnings)?;
+        findings.warnings.extend(survey.iter().flat_map(Survey::warnings));
+        findings.warnings.extend(atlas::crowded(&mut backend, [size; 2])?);
     }
     let cameras: Vec<Vec3> = capture.views.iter().map(|view| view.camera.position()).collect();
     findings.warnings.extend(rooms::detect(mesh, &cameras, &RoomOptions::default()).err().map(|e| e.to_string()));
     findings.warnings.extend(warnings(&findings));
     Ok(findings)
+}
+
+/// What there is; errors become warnings, as much else can still be said of a capture, but for that of who has enough.
+fn or_told<T>(found: texir_core::error::Result<T>, warnings: &mut Vec<String>) -> Result<Option<T>, Failure> {
+    match found {
+        Ok(found) => return Ok(Some(found)),
+        Err(Error::Cancelled) => return Err(Error::Cancelled.into()),
+        Err(e) if warnings.contains(&e.to_string()) => {}
+        Err(e) => warnings.push(e.to_string()),
+    }
+    Ok(None)
 }
 
 /// What is wrong with the masks of the training views, if they leave hardly anything.

@@ -452,7 +452,7 @@ fn paper_mode_goes_down() {
         by_chart(&read_rgb(out.join("albedo.exr")).unwrap(), &read_rgb(capture.file("albedo_tex.exr")).unwrap());
     let rough = |path: &Path| read_gray(path).unwrap().map(|r| [*r; 3]);
     let roughness = by_chart(&rough(&out.join("roughness.exr")), &rough(&capture.file("roughness_tex.exr")));
-    // The floor's. Of walls without highlights the paper's stages know nothing (docs/fit.md).
+    // The floor's. Of walls without highlights the paper's stages know nothing.
     let ([found, truth], [[r, ..], [painted, ..]]) = (albedo[0], roughness[0]);
     assert!((0..3).all(|c| (found[c] / truth[c] - 1.0).abs() < 0.15), "albedo of the floor is {found:?} for {truth:?}");
     assert!((r - painted).abs() < 0.08, "roughness of the floor is {r} for {painted}");

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::memory;
 use super::settings::{FitSettings, Mode};
-use crate::atlas::Atlas;
+use crate::atlas::{Atlas, crowded};
 use crate::backend::Backend;
 use crate::capture::survey::Survey;
 use crate::capture::{Tbl, View};
@@ -51,6 +51,7 @@ pub(super) fn lighting(
     let given = given.filter(|tbl| tbl.radiance.size() == size);
     let is_given = given.is_some();
     let atlas = Atlas::new(backend, size.0, size.1)?;
+    crowded(backend, size.into())?.iter().for_each(|what| progress.warn(what));
     // Before the first long step: what does not fit in memory is refused.
     let mut views = memory::affordable(&training, (&backend.scene().mesh, &atlas), settings, progress)?;
     let survey = Survey::new(backend, &training, progress)?;

@@ -175,6 +175,7 @@ fn prepare(
     (bake, session): (&Bake, &Session<'_>),
 ) -> Result<(Texels<'static>, Surfaces), Failure> {
     let texels = Texels::map(backend, model.size, workspace, session.console)?;
+    bake.warn_of_crowding(backend, model.size, session)?;
     let surfaces = model.surfaces(backend, &texels, environment)?;
     surfaces.check(&texels).context(bake.input.display())?;
     if surfaces.is_dark() {
