@@ -3,8 +3,9 @@
 //! Each texel's surface point is projected into every view, tested for visibility, sampled (`sample.rs`) and blended
 //! robustly over the views (`blend.rs`). Pixels that masks exclude are not used unless they show the light
 //! (`photo.rs`); light sources are resolved below the size of pixels (`sources.rs`). Texels that no view sees are
-//! filled along the surface from light sources (`unseen.rs`) and otherwise from their neighbourhood in space
-//! (`inpaint.rs`), and flagged. Views are read one at a time; memory is bounded by the atlas and a band of it.
+//! filled along the surface from light sources (`unseen.rs`), as far as what these would light agrees (`witnesses.rs`),
+//! and otherwise from their neighbourhood in space (`inpaint.rs`), and flagged. Views are read one at a time; memory is
+//! bounded by the atlas and a band of it.
 
 mod blend;
 pub mod blur;
@@ -17,6 +18,7 @@ mod sample;
 pub(crate) mod shown;
 mod sources;
 mod unseen;
+mod witnesses;
 
 use std::collections::HashMap;
 
@@ -38,6 +40,7 @@ use blend::Best;
 use joined::Joined;
 use photo::Photo;
 use sample::Sampler;
+use witnesses::Known;
 
 /// Side of the atlas, texels, when nobody says: [`DEFAULT_SIDE`], or twice that where views have more pixels than such
 /// an atlas has texels, as it would hold less than they show.
@@ -100,7 +103,7 @@ const PIXELS_PER_TEXEL: usize = 8;
 
 /// Builds the TBL of a `size` (columns, rows) atlas from `views`, the ones meant for training: every texel's radiance
 /// and whether it was seen. Around the charts, [`TblOptions::gutter`] texels repeat what is inside and stay
-/// [`Coverage::Outside`].
+/// [`Coverage::Outside`]. The backend's TBL is another one afterwards.
 pub fn build(
     backend: &mut dyn Backend,
     views: &[View],
@@ -156,7 +159,7 @@ fn fuse(
 }
 
 /// A TBL, of the size of `atlas`, whose light sources are made to explain the pixels of `views`, as those of [`build`]
-/// are.
+/// are. The backend's is another one afterwards.
 pub fn resolve_sources(
     backend: &mut dyn Backend,
     atlas: &Atlas,
@@ -178,6 +181,8 @@ struct Separated {
     limit: f32,
     /// Texels beside sources that pixels show to be none.
     dark: Vec<usize>,
+    /// Pixels' worth that views show of every texel, of those around sources.
+    shown: Vec<f32>,
 }
 
 /// What the views are fused into, and how.
@@ -203,7 +208,7 @@ impl Fusion<'_> {
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
         let joined = Joined::new(&scene.mesh);
-        let Separated { limit, dark } = self.separate_sources(backend, load, &joined, &mut radiance)?;
+        let Separated { limit, dark, shown } = self.separate_sources(backend, load, &joined, &mut radiance)?;
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
             let filled = given.filter(|tbl| tbl.coverage.data[t as usize] == Coverage::Inpainted);
@@ -213,7 +218,11 @@ impl Fusion<'_> {
         let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
         let mut known = seen.clone();
         dark.into_iter().for_each(|texel| known[texel] = true);
+        let shines = |value: [f32; 3]| mean_of_channels(value) > limit;
+        let dark: Vec<[f32; 3]> = radiance.iter().map(|&value| if shines(value) { [0.0; 3] } else { value }).collect();
         unseen::shine(&scene.mesh, &joined, atlas, limit, &known, &mut radiance);
+        let known = Known { limit, shown: &shown, seen: &seen, dark: &dark };
+        witnesses::dim(self, backend, &joined, &known, &mut radiance)?;
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
             radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
@@ -285,7 +294,9 @@ impl Fusion<'_> {
         for (i, blended) in beside.into_iter().zip(self.blend(backend, &mut load_unmixed, &points)?) {
             radiance[i] = blended;
         }
-        Ok(Separated { limit: found.limit, dark })
+        let mut shown = vec![0.0; radiance.len()];
+        found.texels.iter().zip(&found.shown).for_each(|(&texel, &of_texel)| shown[texel as usize] = of_texel);
+        Ok(Separated { limit: found.limit, dark, shown })
     }
 }
 

@@ -1,0 +1,385 @@
+//! What surfaces around a light source witness of the sides of it that views hardly show.
+//!
+//! A side of which nothing is seen may shine, as the back of a lampshade, or not, as its cover or what it is mounted by.
+//! What it would light tells: the ceiling over a lamp whose top shines is brighter near it, and as ln L − ln E is the
+//! logarithm of its albedo, which is the same all over a ceiling, that of E with the right share of the side's light
+//! varies least.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::f32::consts::PI;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::Fusion;
+use super::joined::Joined;
+use crate::backend::{Backend, Gather};
+use crate::error::Result;
+use crate::lights::Lights;
+use crate::progress::Silent;
+use crate::raster::{luminance, mean_of_channels};
+use crate::real::V3;
+use crate::stats::median;
+use crate::surface::SurfacePoint;
+
+/// How far from a side its light is looked for, metres.
+const REACH: f32 = 2.5;
+/// Texels that are asked, of all sides together.
+const ASKED: usize = 50_000;
+/// Rays of each, half of them to the light sources.
+const RAYS: u32 = 256;
+/// Places of a side that send light to each.
+const PLACES: usize = 24;
+/// A texel is lit by a side where that would be this share of its light at least,
+const LIT: f32 = 0.1;
+/// and tells what its surface looks like without where it would be less than this.
+const UNLIT: f32 = 0.03;
+/// Texels of a surface, of either kind, that count.
+const FEW: usize = 12;
+/// Shares of its light that a side may have.
+const SHARES: usize = 20;
+/// Sides of one lamp light the same; how often each is asked for, the others being known.
+const ROUNDS: usize = 2;
+/// No texel is more wrong than by this, in ln albedo: some are painted otherwise.
+const MOST: f32 = 1.0;
+/// A side shines like the rest of its source, or it does not: more than half of that light is taken for all of it, and
+/// less must leave so much of the error at most, as irradiance is uncertain near lamps.
+const CONVINCING: f32 = 0.7;
+
+/// Pixels' worth of a side that views must show for it to be known by itself.
+const SHOWN: f32 = 50.0;
+
+/// A smooth part of a light source of which views show nothing, or hardly anything.
+struct Side {
+    /// Those that shine.
+    texels: Vec<usize>,
+    centre: Vec3,
+    /// Of the sphere around it, metres.
+    radius: f32,
+    /// How much of its texels lies on the mesh, on average: at the borders of charts it is not all.
+    filled: f32,
+    /// How much of its light it sends.
+    share: f32,
+}
+
+/// What is known of light sources.
+pub(super) struct Known<'a> {
+    /// Mean over the channels above which a texel shines.
+    pub limit: f32,
+    /// Pixels' worth that views show of each texel around sources.
+    pub shown: &'a [f32],
+    /// Which texels views see.
+    pub seen: &'a [bool],
+    /// What each texel sends where it does not shine.
+    pub dark: &'a [[f32; 3]],
+}
+
+/// Dims the sides of light sources that views hardly show as far as what is around them witnesses. Replaces the
+/// backend's TBL.
+pub(super) fn dim(
+    fusion: &Fusion<'_>,
+    backend: &mut dyn Backend,
+    joined: &Joined,
+    known: &Known<'_>,
+    radiance: &mut [[f32; 3]],
+) -> Result<()> {
+    let atlas = fusion.atlas;
+    let shines = |t: usize| mean_of_channels(radiance[t]) > known.limit;
+    let mut sides = sides(fusion, joined, known.shown, |t| if shines(t) { luminance(&radiance[t]) } else { 0.0 });
+    if sides.is_empty() {
+        return Ok(());
+    }
+    let asked = asked(fusion, &sides, |t| known.seen[t] && !shines(t));
+    let points: Vec<SurfacePoint> = asked.iter().map(|&t| atlas.points[t]).collect();
+    let map = atlas.scatter_padded(radiance, &vec![true; radiance.len()], [0.0; 3], fusion.options.gutter);
+    backend.set_tbl(&map, &Lights::find(fusion.scene, atlas, &map)?)?;
+    let gathered = backend.irradiance(&points, Gather::new(RAYS / 2, RAYS / 2, 0), &Silent)?;
+    let mut witnesses: Vec<Witness> = gathered
+        .iter()
+        .zip(&asked)
+        .map(|(gathered, &t)| Witness {
+            irradiance: luminance(&gathered.irradiance),
+            radiance: luminance(&radiance[t]),
+            surface: joined.part(atlas.points[t].triangle),
+        })
+        .collect();
+    let lights = sides.iter().map(|side| fusion.progress.check().map(|()| light_of(fusion, side, radiance, &points)));
+    let lights = lights.collect::<Result<Vec<_>>>()?;
+    for _ in 0..ROUNDS {
+        for (side, light) in sides.iter_mut().zip(&lights) {
+            let of_others = witnesses.iter_mut().zip(light);
+            of_others.for_each(|(witness, light)| witness.irradiance -= side.share * light);
+            side.share = share(&witnesses, light);
+            let of_all = witnesses.iter_mut().zip(light);
+            of_all.for_each(|(witness, light)| witness.irradiance += side.share * light);
+        }
+    }
+    for side in sides.iter().filter(|side| side.share < 1.0) {
+        for &t in &side.texels {
+            radiance[t] = Vec3::from(known.dark[t]).lerp(radiance[t].into(), side.share).to_array();
+        }
+    }
+    Ok(())
+}
+
+/// A texel that is asked.
+struct Witness {
+    /// Luminance of what arrives at it,
+    irradiance: f32,
+    /// and of what it sends.
+    radiance: f32,
+    /// The smooth part of the mesh that it is on.
+    surface: u32,
+}
+
+/// The sides, those with the most power first; of every source, what sends most is none. `shining` is the luminance of
+/// texels that shine, and 0 of others.
+fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(usize) -> f32) -> Vec<Side> {
+    #[derive(Default)]
+    struct Part {
+        shining: Vec<usize>,
+        power: f32,
+        shown: f32,
+        /// Those with texels that shine,
+        triangles: BTreeSet<u32>,
+        /// and the area of all of their texels.
+        covered: f32,
+    }
+    let (mesh, points) = (&fusion.scene.mesh, &fusion.atlas.points);
+    let mut parts: BTreeMap<u32, Part> = BTreeMap::new();
+    for (t, point) in points.iter().enumerate().filter(|(t, _)| shining(*t) > 0.0) {
+        let part = parts.entry(joined.part(point.triangle)).or_default();
+        part.shining.push(t);
+        part.power += shining(t) * fusion.atlas.texel_area(mesh, point.triangle);
+        part.triangles.insert(point.triangle);
+    }
+    for (point, shown) in points.iter().zip(shown) {
+        if let Some(part) = parts.get_mut(&joined.part(point.triangle)) {
+            part.shown += shown;
+            if part.triangles.contains(&point.triangle) {
+                part.covered += fusion.atlas.texel_area(mesh, point.triangle);
+            }
+        }
+    }
+    let beside = |part: &Part| {
+        let beside = part.triangles.iter().flat_map(|t| joined.of(*t));
+        beside.filter_map(|t| parts.get(&joined.part(t))).map(|other| other.power).fold(0.0, f32::max)
+    };
+    let side = |part: &Part| {
+        let position = |t: &usize| Vec3::from(points[*t].position);
+        let centre = part.shining.iter().map(position).sum::<Vec3>() / part.shining.len() as f32;
+        let radius = part.shining.iter().map(|t| position(t).distance(centre)).fold(0.0, f32::max);
+        let filled = part.triangles.iter().map(|t| mesh.area(*t)).sum::<f32>() / part.covered;
+        Side { texels: part.shining.clone(), centre, radius, filled, share: 1.0 }
+    };
+    let mut hardly_shown: Vec<&Part> =
+        parts.values().filter(|part| part.shown < SHOWN && part.power < beside(part)).collect();
+    hardly_shown.sort_by(|a, b| b.power.total_cmp(&a.power));
+    hardly_shown.into_iter().map(side).collect()
+}
+
+/// Texels around the sides, every so many of those that `may` be asked.
+fn asked(fusion: &Fusion<'_>, sides: &[Side], may: impl Fn(usize) -> bool + Sync) -> Vec<usize> {
+    let points = &fusion.atlas.points;
+    let near = |t: &usize| {
+        let position = Vec3::from(points[*t].position);
+        may(*t) && sides.iter().any(|side| position.distance(side.centre) < side.radius + REACH)
+    };
+    let all: Vec<usize> = (0..points.len()).into_par_iter().filter(near).collect();
+    let every = all.len().div_ceil(ASKED).max(1);
+    all.into_iter().step_by(every).collect()
+}
+
+/// Luminance of the irradiance that arrives at each point from a side directly.
+fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[SurfacePoint]) -> Vec<f32> {
+    let mesh = &fusion.scene.mesh;
+    let every = side.texels.len().div_ceil(PLACES).max(1);
+    let places: Vec<(Vec3, Vec3, f32, f32)> = side
+        .texels
+        .chunks(every)
+        .map(|texels| {
+            let middle = fusion.atlas.points[texels[texels.len() / 2]];
+            let area = |t: &usize| side.filled * fusion.atlas.texel_area(mesh, fusion.atlas.points[*t].triangle);
+            let sent: f32 = texels.iter().map(|t| luminance(&radiance[*t]) * area(t)).sum();
+            let area: f32 = texels.iter().map(area).sum();
+            (middle.position.into(), mesh.face_normal(middle.triangle), sent, area)
+        })
+        .collect();
+    let from = |point: &SurfacePoint, &(place, facing, sent, area): &(Vec3, Vec3, f32, f32)| {
+        let way = place - Vec3::from(point.position);
+        let length = way.length();
+        let direction = way / length;
+        let cosines = Vec3::from(point.normal).dot(direction).max(0.0) * (-facing.dot(direction)).max(0.0);
+        let is_free = || {
+            let origin = V3(point.position);
+            fusion.scene.closest_within(origin, V3(direction.to_array()), length * (1.0 - 1e-3)).is_none()
+        };
+        // As of a disc: near it, light does not grow without end.
+        let light = sent * cosines / (length * length + area / PI);
+        if light > 0.0 && is_free() { light } else { 0.0 }
+    };
+    let reach = side.radius + REACH;
+    let at = |point: &SurfacePoint| match Vec3::from(point.position).distance(side.centre) < reach {
+        true => places.iter().map(|place| from(point, place)).sum(),
+        false => 0.0,
+    };
+    points.par_iter().map(at).collect()
+}
+
+/// The share of a side's `light`, beside what arrives from elsewhere, by which the surfaces that it would light look
+/// most like themselves elsewhere.
+fn share(witnesses: &[Witness], light: &[f32]) -> f32 {
+    let ln_albedo = |witness: &Witness, sent: f32| (witness.radiance / (witness.irradiance + sent)).ln();
+    let mut surfaces: BTreeMap<u32, (Vec<f32>, Vec<usize>)> = BTreeMap::new();
+    for (i, (witness, &light)) in witnesses.iter().zip(light).enumerate() {
+        // Where the gather and this side's own light disagree, nothing is left of the one without the other.
+        if !(witness.radiance > 0.0 && witness.irradiance > 0.0) {
+            continue;
+        }
+        let (elsewhere, lit) = surfaces.entry(witness.surface).or_default();
+        if light > LIT * (witness.irradiance + light) {
+            lit.push(i);
+        } else if light < UNLIT * witness.irradiance {
+            elsewhere.push(ln_albedo(witness, 0.0));
+        }
+    }
+    let mut said: Vec<(usize, f32)> = Vec::new();
+    for (mut elsewhere, lit) in surfaces.into_values().filter(|(elsewhere, lit)| elsewhere.len().min(lit.len()) >= FEW)
+    {
+        let albedo = median(&mut elsewhere).unwrap_or_default();
+        said.extend(lit.into_iter().map(|i| (i, albedo)));
+    }
+    let error = |k: usize| -> f32 {
+        let share = k as f32 / SHARES as f32;
+        said.iter().map(|&(i, albedo)| (ln_albedo(&witnesses[i], share * light[i]) - albedo).abs().min(MOST)).sum()
+    };
+    let best = (0..=SHARES).min_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(SHARES);
+    let is_dark = 2 * best <= SHARES && error(best) < CONVINCING * error(SHARES);
+    if is_dark { best as f32 / SHARES as f32 } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec2;
+
+    use super::*;
+    use crate::atlas::Atlas;
+    use crate::cpu::CpuBackend;
+    use crate::mesh::Mesh;
+    use crate::raster::Rgb;
+    use crate::scene::Scene;
+    use crate::tbl::TblOptions;
+
+    const SIDE: usize = 192;
+    const CELLS: usize = 4;
+    const LAMP: f32 = 20.0;
+    const ALBEDO: f32 = 0.6;
+
+    /// A quad from `corner` along two edges, seen from the side of a × b, in a cell of the atlas.
+    fn quad(mesh: &mut Mesh, corner: Vec3, a: Vec3, b: Vec3) {
+        let (cell, base) = (mesh.triangles.len() / 2, mesh.positions.len() as u32);
+        let origin = Vec2::new((cell % CELLS) as f32, (cell / CELLS) as f32) + 2.0 * CELLS as f32 / SIDE as f32;
+        let extent = 1.0 - 4.0 * CELLS as f32 / SIDE as f32;
+        for (u, v) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            mesh.positions.push(corner + a * u + b * v);
+            mesh.normals.push(a.cross(b).normalize());
+            mesh.uvs.push((origin + extent * Vec2::new(u, v)) / CELLS as f32);
+        }
+        mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+    }
+
+    /// The faces of a box, of which the third looks down: seen from outside or, `inwards`, from inside.
+    fn faces(mesh: &mut Mesh, low: Vec3, high: Vec3, inwards: bool) {
+        let size = high - low;
+        let (x, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
+        for (corner, a, b) in [(low, z, y), (low, x, z), (low, y, x), (low + x, y, z), (low + y, z, x), (low + z, x, y)]
+        {
+            if inwards { quad(mesh, corner, b, a) } else { quad(mesh, corner, a, b) }
+        }
+    }
+
+    /// A room, whose ceiling is its sixth face, with a box of a lamp below it, whose top is its last.
+    fn room() -> Mesh {
+        let mut mesh = Mesh::default();
+        faces(&mut mesh, Vec3::ZERO, Vec3::new(3.0, 3.0, 2.5), true);
+        faces(&mut mesh, Vec3::new(1.35, 1.4, 2.15), Vec3::new(1.65, 1.6, 2.4), false);
+        mesh
+    }
+
+    const TOP: usize = 11;
+
+    /// What texels send where those of some faces shine, all bounces.
+    fn sent(backend: &mut CpuBackend, atlas: &Atlas, shines: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
+        let emitted = |point: &SurfacePoint| if shines(point.triangle as usize / 2) { LAMP } else { 0.0 };
+        let mut sent: Vec<[f32; 3]> = atlas.points.iter().map(|point| [emitted(point); 3]).collect();
+        for _ in 0..6 {
+            let map = map(atlas, &sent);
+            backend.set_tbl(&map, &Lights::find(&backend.scene().clone(), atlas, &map).unwrap()).unwrap();
+            let gathered = backend.irradiance(&atlas.points, Gather::new(64, 64, 1), &Silent).unwrap();
+            let of_texel = |(point, gathered): (&SurfacePoint, &crate::backend::Gathered)| {
+                [if emitted(point) > 0.0 { LAMP } else { ALBEDO / PI * gathered.irradiance[0] }; 3]
+            };
+            sent = atlas.points.iter().zip(&gathered).map(of_texel).collect();
+        }
+        sent
+    }
+
+    fn map(atlas: &Atlas, sent: &[[f32; 3]]) -> Rgb {
+        atlas.scatter_padded(sent, &vec![true; sent.len()], [0.0; 3], 2)
+    }
+
+    /// Mean radiance of the lamp's top where all of the lamp is taken to shine in a room that is lit by what truly
+    /// does, and views show so many pixels of each of its texels.
+    fn top(shines: impl Fn(usize) -> bool, shown: f32) -> f32 {
+        let scene = std::sync::Arc::new(Scene::new(room()).unwrap());
+        let mut backend = CpuBackend::new(scene.clone());
+        let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+        let face = |t: usize| atlas.points[t].triangle as usize / 2;
+        let truth = sent(&mut backend, &atlas, shines);
+        let mut radiance = truth.clone();
+        (0..radiance.len()).filter(|t| face(*t) >= 6).for_each(|t| radiance[t] = [LAMP; 3]);
+        let options = TblOptions::default();
+        let fusion = Fusion { scene: &scene, atlas: &atlas, cameras: &[], options: &options, progress: &Silent };
+        let shown: Vec<f32> = (0..radiance.len()).map(|t| if face(t) == TOP { shown } else { 10.0 }).collect();
+        let seen: Vec<bool> = (0..radiance.len()).map(|t| face(t) != TOP).collect();
+        let known = Known { limit: 5.0, shown: &shown, seen: &seen, dark: &vec![[0.2; 3]; radiance.len()] };
+        dim(&fusion, &mut backend, &Joined::new(&scene.mesh), &known, &mut radiance).unwrap();
+        let of_top: Vec<f32> = (0..radiance.len()).filter(|t| face(*t) == TOP).map(|t| radiance[t][0]).collect();
+        let others = (6..TOP).all(|other| (0..radiance.len()).all(|t| face(t) != other || radiance[t] == [LAMP; 3]));
+        assert!(others, "what views show of the lamp was dimmed");
+        of_top.iter().sum::<f32>() / of_top.len() as f32
+    }
+
+    #[test]
+    fn the_top_of_a_lamp_that_no_view_shows_shines_as_far_as_the_ceiling_is_lit_by_it() {
+        let dark = top(|face| (6..TOP).contains(&face), 0.0);
+        assert!(dark < 0.15 * LAMP, "{dark}");
+        // Negative controls: it does light the ceiling; and views do show it.
+        assert_eq!(top(|face| face >= 6, 0.0), LAMP);
+        assert_eq!(top(|face| (6..TOP).contains(&face), 10.0), LAMP);
+    }
+
+    #[test]
+    fn a_side_is_dark_where_surfaces_look_like_themselves_without_its_light() {
+        // A ceiling of 400 texels, on some of which a side would send light, and what arrives besides.
+        let light: Vec<f32> = (0..400).map(|i| 10.0 / (1.0 + i as f32).powf(1.5)).collect();
+        let found = |truly: f32, painted: &dyn Fn(usize) -> f32| {
+            let witness = |(i, light): (usize, &f32)| Witness {
+                irradiance: 1.0,
+                radiance: painted(i) * (1.0 + truly * light),
+                surface: 7,
+            };
+            let witnesses: Vec<Witness> = light.iter().enumerate().map(witness).collect();
+            share(&witnesses, &light)
+        };
+        let white = |_: usize| 0.8;
+        assert_eq!([0.0, 0.2, 1.0].map(|truly| found(truly, &white)), [0.0, 0.2, 1.0]);
+        // More than half of it is all of it.
+        assert_eq!(found(0.7, &white), 1.0);
+        // A pattern does not matter, as long as it is the same everywhere.
+        let pattern = |i: usize| if i.is_multiple_of(3) { 0.3 } else { 0.8 };
+        assert_eq!(found(0.0, &pattern), 0.0);
+        // Negative control: nothing is known of surfaces that are lit everywhere.
+        assert_eq!(share(&[Witness { irradiance: 1.0, radiance: 0.8, surface: 7 }], &[10.0]), 1.0);
+    }
+}
