@@ -34,6 +34,8 @@ const PLACES: usize = 24;
 const LIT: f32 = 0.1;
 /// and tells what its surface looks like without where it would be less than this.
 const UNLIT: f32 = 0.03;
+/// What arrives at a texel from elsewhere is no less than this share of what a side would send to it.
+const LEAST: f32 = 0.01;
 /// Texels of a surface, of either kind, that count.
 const FEW: usize = 12;
 /// Shares of its light that a side may have.
@@ -56,8 +58,6 @@ struct Side {
     centre: Vec3,
     /// Of the sphere around it, metres.
     radius: f32,
-    /// How much of its texels lies on the mesh, on average: at the borders of charts it is not all.
-    filled: f32,
     /// How much of its light it sends.
     share: f32,
 }
@@ -140,10 +140,7 @@ fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(u
         shining: Vec<usize>,
         power: f32,
         shown: f32,
-        /// Those with texels that shine,
         triangles: BTreeSet<u32>,
-        /// and the area of all of their texels.
-        covered: f32,
     }
     let (mesh, points) = (&fusion.scene.mesh, &fusion.atlas.points);
     let mut parts: BTreeMap<u32, Part> = BTreeMap::new();
@@ -156,9 +153,6 @@ fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(u
     for (point, shown) in points.iter().zip(shown) {
         if let Some(part) = parts.get_mut(&joined.part(point.triangle)) {
             part.shown += shown;
-            if part.triangles.contains(&point.triangle) {
-                part.covered += fusion.atlas.texel_area(mesh, point.triangle);
-            }
         }
     }
     let beside = |part: &Part| {
@@ -169,8 +163,7 @@ fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(u
         let position = |t: &usize| Vec3::from(points[*t].position);
         let centre = part.shining.iter().map(position).sum::<Vec3>() / part.shining.len() as f32;
         let radius = part.shining.iter().map(|t| position(t).distance(centre)).fold(0.0, f32::max);
-        let filled = part.triangles.iter().map(|t| mesh.area(*t)).sum::<f32>() / part.covered;
-        Side { texels: part.shining.clone(), centre, radius, filled, share: 1.0 }
+        Side { texels: part.shining.clone(), centre, radius, share: 1.0 }
     };
     let mut hardly_shown: Vec<&Part> =
         parts.values().filter(|part| part.shown < SHOWN && part.power < beside(part)).collect();
@@ -190,7 +183,9 @@ fn asked(fusion: &Fusion<'_>, sides: &[Side], may: impl Fn(usize) -> bool + Sync
     all.into_iter().step_by(every).collect()
 }
 
-/// Luminance of the irradiance that arrives at each point from a side directly.
+/// Luminance of the irradiance that arrives at each point from a side directly. Texels count in full, though at the
+/// borders of charts not all of them is on the mesh: a rim of a texel's width is taken to send more than it does, so
+/// that it must be the darker to be told from one that shines.
 fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[SurfacePoint]) -> Vec<f32> {
     let mesh = &fusion.scene.mesh;
     let every = side.texels.len().div_ceil(PLACES).max(1);
@@ -199,7 +194,7 @@ fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[S
         .chunks(every)
         .map(|texels| {
             let middle = fusion.atlas.points[texels[texels.len() / 2]];
-            let area = |t: &usize| side.filled * fusion.atlas.texel_area(mesh, fusion.atlas.points[*t].triangle);
+            let area = |t: &usize| fusion.atlas.texel_area(mesh, fusion.atlas.points[*t].triangle);
             let sent: f32 = texels.iter().map(|t| luminance(&radiance[*t]) * area(t)).sum();
             let area: f32 = texels.iter().map(area).sum();
             (middle.position.into(), mesh.face_normal(middle.triangle), sent, area)
@@ -229,18 +224,21 @@ fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[S
 /// The share of a side's `light`, beside what arrives from elsewhere, by which the surfaces that it would light look
 /// most like themselves elsewhere.
 fn share(witnesses: &[Witness], light: &[f32]) -> f32 {
-    let ln_albedo = |witness: &Witness, sent: f32| (witness.radiance / (witness.irradiance + sent)).ln();
+    // What a gather finds may be less than what the side alone would send: it is one of few rays.
+    let elsewhere_at = |witness: &Witness, light: f32| witness.irradiance.max(LEAST * light);
+    let ln_albedo = |witness: &Witness, light: f32, share: f32| {
+        (witness.radiance / (elsewhere_at(witness, light) + share * light)).ln()
+    };
     let mut surfaces: BTreeMap<u32, (Vec<f32>, Vec<usize>)> = BTreeMap::new();
     for (i, (witness, &light)) in witnesses.iter().zip(light).enumerate() {
-        // Where the gather and this side's own light disagree, nothing is left of the one without the other.
-        if !(witness.radiance > 0.0 && witness.irradiance > 0.0) {
+        if !(witness.radiance > 0.0 && elsewhere_at(witness, light) > 0.0) {
             continue;
         }
         let (elsewhere, lit) = surfaces.entry(witness.surface).or_default();
-        if light > LIT * (witness.irradiance + light) {
+        if light > LIT * (elsewhere_at(witness, light) + light) {
             lit.push(i);
         } else if light < UNLIT * witness.irradiance {
-            elsewhere.push(ln_albedo(witness, 0.0));
+            elsewhere.push(ln_albedo(witness, light, 0.0));
         }
     }
     let mut said: Vec<(usize, f32)> = Vec::new();
@@ -251,7 +249,7 @@ fn share(witnesses: &[Witness], light: &[f32]) -> f32 {
     }
     let error = |k: usize| -> f32 {
         let share = k as f32 / SHARES as f32;
-        said.iter().map(|&(i, albedo)| (ln_albedo(&witnesses[i], share * light[i]) - albedo).abs().min(MOST)).sum()
+        said.iter().map(|&(i, albedo)| (ln_albedo(&witnesses[i], light[i], share) - albedo).abs().min(MOST)).sum()
     };
     let best = (0..=SHARES).min_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(SHARES);
     let is_dark = 2 * best <= SHARES && error(best) < CONVINCING * error(SHARES);
@@ -353,7 +351,7 @@ mod tests {
     #[test]
     fn the_top_of_a_lamp_that_no_view_shows_shines_as_far_as_the_ceiling_is_lit_by_it() {
         let dark = top(|face| (6..TOP).contains(&face), 0.0);
-        assert!(dark < 0.15 * LAMP, "{dark}");
+        assert!(dark < 0.2 * LAMP, "{dark}");
         // Negative controls: it does light the ceiling; and views do show it.
         assert_eq!(top(|face| face >= 6, 0.0), LAMP);
         assert_eq!(top(|face| (6..TOP).contains(&face), 10.0), LAMP);
