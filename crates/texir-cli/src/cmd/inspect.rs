@@ -292,7 +292,7 @@ fn inspect(capture: &Capture, origin: Origin, session: &Session<'_>) -> Result<F
     Ok(findings)
 }
 
-/// What there is; errors become warnings, as much else can still be said of a capture, but for that of who has enough.
+/// What is found. Errors become warnings, as much else can still be said of a capture; being cancelled stays one.
 fn or_told<T>(found: texir_core::error::Result<T>, warnings: &mut Vec<String>) -> Result<Option<T>, Failure> {
     match found {
         Ok(found) => return Ok(Some(found)),
