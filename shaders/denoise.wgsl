@@ -93,7 +93,7 @@ const COLUMNS: u32 = 49u;
 @group(1) @binding(8) var<storage, read_write> conserved: array<vec4f>;
 
 fn owned_point(lane: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
-    return params.first + linear_workgroup(workgroup, workgroups) * 64u + lane;
+    return params.first + linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
 }
 
 // The entries of a column of cells around a point: [x, y).
@@ -118,7 +118,7 @@ fn square(v: vec3f) -> f32 {
     return dot(v, v);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn smooth_halves(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -155,7 +155,7 @@ fn smooth_halves(
     smoothed[i] = Smoothed(a, squares / (weight * weight), b, max(level, params.tiny));
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn measure_noise(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -254,7 +254,7 @@ fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
     return select(own, mean, is_plausible(mean));
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn regress(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -302,7 +302,7 @@ fn regress(
     fits[i] = Fitted(centre(a, curved, estimate.a), 0u, centre(b, curved, estimate.b), 0u);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn clean(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -344,7 +344,7 @@ fn level_of(value: vec3f) -> f32 {
     return max(square(value), params.tiny);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn conserve(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,

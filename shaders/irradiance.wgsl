@@ -15,7 +15,7 @@
 #import rng
 #import sampling
 
-// Threads per point: a power of two, at most 64.
+// Threads per point: a power of two, at most WORKGROUP.
 override LANES: u32 = 64u;
 
 struct IrradianceParams {
@@ -90,7 +90,7 @@ struct Share {
 }
 
 fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
-    let item = params.first_item + linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let item = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
     let point = points[min(item, params.end_item - 1u)];
     var seed = hash2(params.seed, point.sequence);
     var stretch = params.part;
@@ -108,7 +108,7 @@ fn sample_count() -> u32 {
     return params.end_sample - params.first_sample;
 }
 
-var<workgroup> lane_sums: array<vec4f, 64>;
+var<workgroup> lane_sums: array<vec4f, WORKGROUP>;
 
 // Adds the lanes' sums; the result is meant for lane 0.
 fn sum_over_lanes(thread: u32, lane: u32, sum: vec4f) -> vec4f {
@@ -122,7 +122,7 @@ fn sum_over_lanes(thread: u32, lane: u32, sum: vec4f) -> vec4f {
     return lane_sums[thread];
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn gather_cosine(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -149,7 +149,7 @@ fn gather_cosine(
     }
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn gather_lights(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -174,7 +174,7 @@ fn gather_lights(
     }
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn gather_sky(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,

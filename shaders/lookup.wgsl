@@ -49,13 +49,13 @@ fn store(item: u32, channel: u32, sum: f32) {
     }
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn lookup(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let k = linear_workgroup(workgroup, workgroups) * 64u + thread;
+    let k = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
     let row = k / params.channels;
     let channel = k % params.channels;
     if row < params.rows {
@@ -64,13 +64,13 @@ fn lookup(
 }
 
 // Transpose of `lookup`: from cotangents of the looked-up values to those of the pyramid's texels.
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn lookup_vjp(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let k = linear_workgroup(workgroup, workgroups) * 64u + thread;
+    let k = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
     let row = k / params.channels;
     let channel = k % params.channels;
     if row < params.rows {

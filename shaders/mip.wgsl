@@ -33,7 +33,7 @@ struct Family {
 }
 
 fn family(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Family {
-    let k = linear_workgroup(workgroup, workgroups) * 64u + thread;
+    let k = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
     let coarse = k / params.channels;
     let exists = coarse < params.coarse_width * params.coarse_height;
     let x = 2u * (coarse % params.coarse_width) + vec4u(0u, 1u, 0u, 1u);
@@ -49,7 +49,7 @@ fn family(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Family {
     return Family(params.coarse_offset + coarse, k % params.channels, children, shares, exists);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn reduce(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
@@ -64,7 +64,7 @@ fn reduce(
 }
 
 // Transpose of `reduce`: adds the parent's cotangent to its children's.
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn reduce_vjp(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,

@@ -15,13 +15,13 @@ struct PrimaryParams {
 @group(1) @binding(1) var<uniform> params: PrimaryParams;
 @group(1) @binding(2) var<storage, read_write> hits: array<Hit>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn primary(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * 64u + lane;
+    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
     if i >= params.count {
         return;
     }

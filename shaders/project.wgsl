@@ -26,13 +26,13 @@ struct ProjectParams {
 @group(1) @binding(2) var<storage, read> points: array<SurfacePoint>;
 @group(1) @binding(3) var<storage, read_write> projected: array<Projected>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn project(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * 64u + lane;
+    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
     if i >= params.count {
         return;
     }

@@ -31,13 +31,13 @@ struct PunctualParams {
 // The sum of E over lights, cosine included, not divided by π; w is padding.
 @group(1) @binding(3) var<storage, read_write> irradiance: array<vec4f>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn punctual(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * 64u + lane;
+    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
     if i >= params.count {
         return;
     }

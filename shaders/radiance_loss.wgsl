@@ -20,16 +20,16 @@ struct RadianceLossParams {
 // One per workgroup.
 @group(1) @binding(4) var<storage, read_write> losses: array<f32>;
 
-var<workgroup> lane_sums: array<f32, 64>;
+var<workgroup> lane_sums: array<f32, WORKGROUP>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn radiance_loss(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let group = linear_workgroup(workgroup, workgroups);
-    let i = group * 64u + thread;
+    let i = group * WORKGROUP + thread;
     var loss = 0.0;
     if i < params.count {
         for (var k = 3u * i; k < 3u * i + 3u; k++) {
@@ -47,7 +47,7 @@ fn radiance_loss(
             lane_sums[thread] += lane_sums[thread + stride];
         }
     }
-    if thread == 0u && group * 64u < params.count {
+    if thread == 0u && group * WORKGROUP < params.count {
         losses[group] = lane_sums[0];
     }
 }

@@ -12,7 +12,7 @@
 #import lobe
 #import roughness
 
-// Threads per pixel: a power of two, at most 64.
+// Threads per pixel: a power of two, at most WORKGROUP.
 override LANES: u32 = 16u;
 
 struct ShadeParams {
@@ -38,20 +38,20 @@ struct Sums {
     d_roughness: vec3f,
 }
 
-var<workgroup> lane_sums: array<Sums, 64>;
+var<workgroup> lane_sums: array<Sums, WORKGROUP>;
 
 fn add(a: Sums, b: Sums) -> Sums {
     return Sums(a.scale + b.scale, a.bias + b.bias, a.d_roughness + b.d_roughness);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn shade(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let lane = thread % LANES;
-    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
     let present = pixel < params.end_item;
     let item = min(pixel, params.end_item - 1u);
     let point = points[item];

@@ -18,13 +18,13 @@ struct ShadeVjpParams {
 @group(1) @binding(4) var<storage, read> d_radiance: array<f32>;
 @group(1) @binding(5) var<storage, read_write> d_materials: array<MaterialGrad>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn shade_vjp(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * 64u + thread;
+    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
     if i >= params.count {
         return;
     }

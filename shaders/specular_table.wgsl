@@ -17,7 +17,7 @@
 const NODES: u32 = 32u;
 const STRATA: u32 = 4u;
 const LOBES: u32 = 5u;
-// Threads per pixel: a divisor of NODES, of which 64 is a multiple.
+// Threads per pixel: a divisor of NODES, of which WORKGROUP is a multiple.
 const LANES: u32 = 8u;
 
 // What the samples of a pipeline are drawn from: a constant, so that none pays for the directions of another.
@@ -144,16 +144,16 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
     return Sample(select(vec3f(0.0), light, counts), sin2, c.nl, c.nv);
 }
 
-var<workgroup> samples: array<Sample, 64>;
+var<workgroup> samples: array<Sample, WORKGROUP>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(WORKGROUP)
 fn specular_table(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let lane = thread % LANES;
-    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (64u / LANES) + thread / LANES;
+    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
     let exists = pixel < params.end_item;
     let item = min(pixel, params.end_item - 1u);
     let seed = hash2(params.seed, pixels[item][0].sequence);

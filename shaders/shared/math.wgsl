@@ -25,6 +25,9 @@ fn share_below(u: f32, before: f32, up_to: f32) -> f32 {
     return clamp((u - before) / (up_to - before), 0.0, 0.99999994);
 }
 
+// Threads of a workgroup, where a pass has no other number.
+const WORKGROUP: u32 = 64u;
+
 // Index of a workgroup in a dispatch that the host folded into two dimensions (one holds at most 65,535).
 fn linear_workgroup(workgroup: vec3u, workgroups: vec3u) -> u32 {
     return workgroup.y * workgroups.x + workgroup.x;

@@ -96,6 +96,25 @@ pub fn furnished_room() -> Mesh {
     furnishings().finish()
 }
 
+/// The same surface by four times as many triangles, so many `times`.
+pub fn subdivided(mesh: &Mesh, times: u32) -> Mesh {
+    let mut mesh = mesh.clone();
+    for _ in 0..times {
+        let triangles = std::mem::take(&mut mesh.triangles);
+        for [a, b, c] in triangles {
+            let [ab, bc, ca] = [[a, b], [b, c], [c, a]].map(|[from, to]| {
+                let (from, to) = (from as usize, to as usize);
+                mesh.positions.push(0.5 * (mesh.positions[from] + mesh.positions[to]));
+                mesh.normals.push((mesh.normals[from] + mesh.normals[to]).normalize());
+                mesh.uvs.push(0.5 * (mesh.uvs[from] + mesh.uvs[to]));
+                mesh.positions.len() as u32 - 1
+            });
+            mesh.triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+    }
+    mesh
+}
+
 /// [`furnished_room`] with flat normals, a lamp like a slanting strip below its ceiling, and a radiance atlas in which
 /// that alone is bright. Its triangles' boxes are nearly empty, so that hierarchies keep them in several leaves each.
 pub fn room_with_strip(size: usize) -> (Mesh, Rgb) {

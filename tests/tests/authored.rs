@@ -266,9 +266,9 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
 
     // Two triangles per quad, in the order of the document: floor, ceiling, back, red, green, lamp, boxes.
     let material = |t: u32| [0, 0, 0, 1, 2, 3].get(t as usize / 2).copied().unwrap_or(0);
-    let triangles = scene.mesh.triangles.len() as u32;
+    let triangles = scene.mesh().triangles.len() as u32;
     let twin = Twin {
-        exact: Exhaustive(&scene.mesh),
+        exact: Exhaustive(scene.mesh()),
         albedo: (0..triangles).map(|t| albedo[material(t)]).collect(),
         lamp: [10, 11],
         emission: [17.0, 12.0, 4.0],

@@ -36,7 +36,7 @@ fn ground(with_box: bool) -> Arc<Scene> {
 /// Points on the ground.
 fn points(scene: &Scene) -> Vec<SurfacePoint> {
     let at = |i: u32| Hit { triangle: i % 2, u: 0.1 + 0.01 * i as f32, v: 0.55 - 0.012 * i as f32, t: 0.0 };
-    (0..40).map(|i| SurfacePoint { sequence: i, ..SurfacePoint::new(&scene.mesh, &at(i), None) }).collect()
+    (0..40).map(|i| SurfacePoint { sequence: i, ..SurfacePoint::new(scene.mesh(), &at(i), None) }).collect()
 }
 
 /// A sky that brightens towards the zenith and towards one side, with a window of other light in it.
@@ -61,7 +61,7 @@ fn an_open_plane_under_a_constant_sky_receives_pi_l() {
     let backends: [Box<dyn Backend>; 2] =
         [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
-        backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
+        backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(scene.mesh())).unwrap();
         backend.set_environment(Some(&Environment::constant(sky).unwrap())).unwrap();
         let gather = Gather::new(37, 8, 1);
         let lit = backend.irradiance(&points, gather, &Silent).unwrap();
@@ -90,7 +90,7 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     backend.set_environment(Some(&sky)).unwrap();
     let gather = Gather::new(64, 32, 5);
     let got = backend.irradiance(&points, gather, &Silent).unwrap();
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     let twin = |environment| -> Vec<f64> {
         let lighting = Lighting { tracer: &exact, radiance: &radiance, environment };
         let at = |p| irradiance::<f64, _>(&lighting, &lights, p, gather).irradiance;
@@ -130,7 +130,7 @@ fn a_small_sun_is_found_by_few_rays() {
     let backends: [Box<dyn Backend>; 2] =
         [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
-        backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(&scene.mesh)).unwrap();
+        backend.set_tbl(&Rgb::filled(2, 2, [9.0; 3]), &Lights::none(scene.mesh())).unwrap();
         backend.set_environment(Some(&sky)).unwrap();
         let gather = Gather::new(16, 16, 4);
         let lit = backend.irradiance(&points, gather, &Silent).unwrap();
@@ -146,7 +146,7 @@ fn a_small_sun_is_found_by_few_rays() {
 fn a_mirror_shows_the_sky() {
     let scene = ground(false);
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
-    backend.set_tbl(&Rgb::filled(2, 2, [0.0; 3]), &Lights::none(&scene.mesh)).unwrap();
+    backend.set_tbl(&Rgb::filled(2, 2, [0.0; 3]), &Lights::none(scene.mesh())).unwrap();
     backend.set_environment(Some(&Environment::constant([3.0, 2.0, 1.0]).unwrap())).unwrap();
     let pixels: Vec<ShadePoint> = (points(&scene).iter())
         .map(|p| ShadePoint {

@@ -36,9 +36,9 @@ fn room() -> Arc<Scene> {
 fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
     (0..count)
         .map(|i| {
-            let triangle = hash(i) % scene.mesh.triangles.len() as u32;
+            let triangle = hash(i) % scene.mesh().triangles.len() as u32;
             let [u, v] = sobol2(i, 9).map(|x| 0.05 + 0.45 * x);
-            let point = SurfacePoint::new(&scene.mesh, &Hit { triangle, u, v, t: 0.0 }, None);
+            let point = SurfacePoint::new(scene.mesh(), &Hit { triangle, u, v, t: 0.0 }, None);
             SurfacePoint { sequence: i, ..point }
         })
         .collect()
@@ -114,8 +114,8 @@ fn many_samples_give_the_same_sum_in_every_shape() {
 fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
     let (mesh, radiance) = scenes::room_with_strip(192);
     let scene = Arc::new(Scene::new(mesh).unwrap());
-    let strip = scene.mesh.triangles.len() as u32 - 2;
-    let leaves = scene.bvh.primitive_indices.iter().filter(|&&t| t >= strip).count();
+    let strip = scene.mesh().triangles.len() as u32 - 2;
+    let leaves = scene.primitives().iter().filter(|&&t| t >= strip).count();
     assert!(leaves > 2, "the strip's triangles are in one leaf each: nothing is tested");
     let points = points(&scene, 60);
     let mut cpu = CpuBackend::new(scene.clone());
@@ -132,7 +132,8 @@ fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
 #[test]
 fn buffers_and_textures_hold_the_same_hierarchy() {
     let gpu = gpu();
-    let scene = room();
+    let scene = Arc::new(Scene::new(scenes::subdivided(room().mesh(), 3)).unwrap());
+    assert!(scene.nodes().len() > 8192 * 16, "its nodes are in one row of a texture");
     let points = points(&scene, 200);
     let [buffers, textures] = [Hierarchy::Buffers, Hierarchy::Textures].map(|place| {
         let mut backend = GpuBackend::with_hierarchy(&gpu, scene.clone(), place).unwrap();
@@ -192,7 +193,7 @@ fn parts_of_a_gather_are_the_whole() {
 fn a_closed_room_of_one_radiance_is_a_furnace() {
     let scene = room();
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
-    backend.set_tbl(&Rgb::filled(3, 2, [2.0, 1.0, 0.25]), &Lights::none(&scene.mesh)).unwrap();
+    backend.set_tbl(&Rgb::filled(3, 2, [2.0, 1.0, 0.25]), &Lights::none(scene.mesh())).unwrap();
     let points = points(&scene, 300);
     let expected: Vec<f64> = points.iter().flat_map(|_| [2.0, 1.0, 0.25].map(|l| std::f64::consts::PI * l)).collect();
     for samples in [1, 16, 64, 256, 4096] {
@@ -325,7 +326,7 @@ fn misused(backend: &mut dyn Backend) {
     let one = Gather::new(1, 0, 0);
     let unlit = backend.irradiance(&points, one, &Silent).unwrap_err().to_string();
     assert!(unlit.contains("lighting"), "{unlit}");
-    let dark = Lights::none(&scene.mesh);
+    let dark = Lights::none(scene.mesh());
     let empty = backend.set_tbl(&Rgb::filled(0, 0, [0.0; 3]), &dark).unwrap_err().to_string();
     assert!(empty.contains("no texels"), "{empty}");
     backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
@@ -334,16 +335,16 @@ fn misused(backend: &mut dyn Backend) {
     let foreign = Lights { density: vec![LightDensity::default(); 3], ..dark };
     let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
     assert!(foreign.contains("another mesh"), "{foreign}");
-    let clusterless = Lights { clusters: Vec::new(), ..Lights::none(&scene.mesh) };
+    let clusterless = Lights { clusters: Vec::new(), ..Lights::none(scene.mesh()) };
     let clusterless = backend.set_tbl(&scenes::smooth_light(8), &clusterless).unwrap_err().to_string();
     assert!(clusterless.contains("clusters"), "{clusterless}");
     let short = Rgb { data: vec![[1.0; 3]; 63], ..scenes::smooth_light(8) };
-    let short = backend.set_tbl(&short, &Lights::none(&scene.mesh)).unwrap_err().to_string();
+    let short = backend.set_tbl(&short, &Lights::none(scene.mesh())).unwrap_err().to_string();
     assert!(short.contains("63 values where 64 are expected"), "{short}");
     for impossible in [f32::NAN, -1.0, f32::INFINITY, 1e20] {
         let mut light = scenes::smooth_light(8);
         light.data[19][1] = impossible;
-        let refused = backend.set_tbl(&light, &Lights::none(&scene.mesh)).unwrap_err().to_string();
+        let refused = backend.set_tbl(&light, &Lights::none(scene.mesh())).unwrap_err().to_string();
         assert!(refused.contains("column 3, row 2"), "{refused}");
     }
     let (pixels, materials) = shading(&points);
@@ -384,7 +385,7 @@ fn misuse_is_an_error() {
     let mut backend = GpuBackend::new(&gpu, scene.clone()).unwrap();
     misused(&mut backend);
     // Larger than the device binds or makes: an error with the figures, not a lost device.
-    let (points, dark) = (points(&scene, 2), Lights::none(&scene.mesh));
+    let (points, dark) = (points(&scene, 2), Lights::none(scene.mesh()));
     let limit = gpu.device().limits().max_texture_dimension_2d as usize;
     let wide = backend.set_tbl(&Rgb::filled(limit + 1, 1, [1.0; 3]), &dark).unwrap_err().to_string();
     assert!(wide.contains(&format!("{limit} × {limit}")), "{wide}");
@@ -404,7 +405,7 @@ fn engines_can_keep_backends() {
 fn walls_that_are_there_from_both_sides_take_no_light() {
     // As exporters write what is to be seen from both sides; turned, so that distances round apart.
     let turn = glam::Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.1, -0.7);
-    let mut mesh = room().mesh.clone();
+    let mut mesh = room().mesh().clone();
     mesh.positions.iter_mut().for_each(|p| *p = turn * *p);
     mesh.flat_normals();
     let single = Arc::new(Scene::new(mesh.clone()).unwrap());
@@ -415,7 +416,7 @@ fn walls_that_are_there_from_both_sides_take_no_light() {
     let points = points(&single, 400);
     let gathered = |backend: &mut dyn Backend| {
         // Backs are black, as in scenes that somebody made.
-        let mut lights = Lights::none(&backend.scene().mesh);
+        let mut lights = Lights::none(backend.scene().mesh());
         lights.density.iter_mut().for_each(|density| density.front_only = 1);
         backend.set_tbl(&scenes::smooth_light(192), &lights).unwrap();
         flat(&backend.irradiance(&points, Gather::new(128, 0, 5), &Silent).unwrap())

@@ -32,7 +32,7 @@ fn points(scene: &Scene) -> Vec<SurfacePoint> {
     let at = |i: u32| {
         let [u, v] = texir_core::rng::sobol2(i, 7);
         let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
-        SurfacePoint::new(&scene.mesh, &Hit { triangle: i % 2, u, v, t: 0.0 }, None)
+        SurfacePoint::new(scene.mesh(), &Hit { triangle: i % 2, u, v, t: 0.0 }, None)
     };
     (0..400).map(at).collect()
 }
@@ -94,7 +94,7 @@ fn shadows_and_sums_are_those_of_the_twin() {
     let scene = scene();
     let points = points(&scene);
     let lights: Vec<PunctualLight> = lights().into_iter().map(|(light, _)| light).collect();
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     let twin = |lights: &[PunctualLight]| -> Vec<f64> {
         let at = |p| {
             lights

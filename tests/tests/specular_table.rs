@@ -180,7 +180,7 @@ fn pixels(backend: &mut dyn Backend, step: usize) -> Vec<[ShadePoint; STRATA]> {
     let camera = scenes::cameras()[0].supersampled(2);
     let hits = backend.primary(&camera, camera.rows()).unwrap();
     let scene = backend.scene();
-    let point = |pixel: usize| ShadePoint::new(&scene.mesh, &camera, pixel as u32, &hits[pixel], [0.0; 3]);
+    let point = |pixel: usize| ShadePoint::new(scene.mesh(), &camera, pixel as u32, &hits[pixel], [0.0; 3]);
     (0..hits.len() / STRATA)
         .step_by(step)
         .map(|i| {
@@ -205,9 +205,9 @@ fn wgsl_and_twin_agree() {
     let lights = scenes::lights(&mut backend, &radiance);
     assert!(!lights.is_empty());
     let pixels = pixels(&mut backend, 41);
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     let lighting = Lighting { tracer: &exact, radiance: &radiance, environment: None };
-    for lights in [lights, Lights::none(&scene.mesh)] {
+    for lights in [lights, Lights::none(scene.mesh())] {
         backend.set_tbl(&radiance, &lights).unwrap();
         for (masking, f0, lobe, cosine, light) in [
             (Masking::Smith, DIELECTRIC, 2, 2, 6),
@@ -233,7 +233,7 @@ fn wgsl_and_twin_agree() {
 fn lights_in_several_leaves_of_the_hierarchy_are_reflected_in_full() {
     let (mesh, radiance) = scenes::room_with_strip(192);
     let scene = Arc::new(Scene::new(mesh).unwrap());
-    assert!(scene.bvh.primitive_indices.len() > scene.mesh.triangles.len(), "no triangle is in two leaves");
+    assert!(scene.primitives().len() > scene.mesh().triangles.len(), "no triangle is in two leaves");
     let mut cpu = CpuBackend::new(scene.clone());
     let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let lights = scenes::lights(&mut cpu, &radiance);

@@ -40,11 +40,11 @@ fn unit(i: u32, stream: u32) -> f32 {
 fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
     (0..count)
         .map(|i| {
-            let triangle = hash2(i, 3) % scene.mesh.triangles.len() as u32;
+            let triangle = hash2(i, 3) % scene.mesh().triangles.len() as u32;
             let [a, b] = sobol2(i, 4);
             let (u, v) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
             let hit = Hit { triangle, u: 0.9 * u, v: 0.9 * v, t: 0.0 };
-            SurfacePoint { sequence: i, ..SurfacePoint::new(&scene.mesh, &hit, None) }
+            SurfacePoint { sequence: i, ..SurfacePoint::new(scene.mesh(), &hit, None) }
         })
         .collect()
 }
@@ -53,7 +53,7 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
 fn primary_visibility() {
     let scene = room();
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera, camera.rows()).unwrap();
         let twin: Vec<TraceHit<f64>> = (0..camera.pixels())
@@ -87,10 +87,10 @@ fn rays_that_leave_the_scene_miss() {
     builder.quad([Vec3::ZERO, Vec3::X, Vec3::X + Vec3::Y, Vec3::Y], [Vec3::Z; 4]);
     let scene = Arc::new(Scene::new(builder.finish()).unwrap());
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
-    backend.set_tbl(&scenes::smooth_light(32), &Lights::none(&scene.mesh)).unwrap();
+    backend.set_tbl(&scenes::smooth_light(32), &Lights::none(scene.mesh())).unwrap();
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera, camera.rows()).unwrap();
-        let exact = Exhaustive(&scene.mesh);
+        let exact = Exhaustive(scene.mesh());
         let twin = |i: usize| primary::primary::<f64>(&exact, &camera, i % camera.width, i / camera.width).is_some();
         let wrong: Vec<_> = (0..hits.len()).filter(|&i| hits[i].is_hit() != twin(i)).collect();
         assert!(wrong.is_empty(), "pixels {wrong:?}");
@@ -109,9 +109,9 @@ fn texel_map() {
     // Not multiples of the tile, and coarse enough that charts meet within texels.
     for (width, height) in [(149, 131), (37, 20)] {
         let hits = backend.texels([width, height], 0..height).unwrap();
-        let bins = texels::TileBins::new(&scene.mesh, [width, height], 0..height).unwrap();
+        let bins = texels::TileBins::new(scene.mesh(), [width, height], 0..height).unwrap();
         let corners = |t: u32| {
-            scene.mesh.corner_uvs(t).map(|uv| [f64::from(uv.x) * width as f64, f64::from(uv.y) * height as f64])
+            scene.mesh().corner_uvs(t).map(|uv| [f64::from(uv.x) * width as f64, f64::from(uv.y) * height as f64])
         };
         let place = |triangle: u32, u: f64, v: f64, x: usize, y: usize| {
             let [a, b, c] = corners(triangle);
@@ -155,7 +155,7 @@ fn irradiance_gather() {
     assert!(lights.triangles.len() > 10);
     backend.set_tbl(&light, &lights).unwrap();
     let points = points(&scene, 150);
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
     let own = |part| Sequences::Own { part };
@@ -189,7 +189,7 @@ fn projection() {
     let scene = room();
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let points = points(&scene, 6000);
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     for camera in scenes::cameras() {
         let got = backend.project(&points, &camera).unwrap();
         let (mut found, mut expected, mut seen) = (vec![], vec![], 0);
@@ -211,7 +211,7 @@ fn shading(backend: &mut GpuBackend, camera: &Camera, step: usize) -> (Vec<Shade
         .step_by(step)
         .map(|i| {
             let view = -camera.direction((i % camera.width) as f32 + 0.5, (i / camera.width) as f32 + 0.5);
-            let point = SurfacePoint::new(&backend.scene().mesh, &hits[i], Some(view));
+            let point = SurfacePoint::new(backend.scene().mesh(), &hits[i], Some(view));
             let n = i as u32;
             let shade_point = ShadePoint {
                 position: point.position,
@@ -240,9 +240,9 @@ fn shading_and_its_jacobian() {
     let scene = room();
     let light = scenes::smooth_light(192);
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
-    backend.set_tbl(&light, &Lights::none(&scene.mesh)).unwrap();
+    backend.set_tbl(&light, &Lights::none(scene.mesh())).unwrap();
     let (points, materials) = shading(&mut backend, &scenes::cameras()[0], 17);
-    let exact = Exhaustive(&scene.mesh);
+    let exact = Exhaustive(scene.mesh());
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let sampling = Sampling { samples: 16, seed: 5 };
     let mut first: Option<Vec<f64>> = None;

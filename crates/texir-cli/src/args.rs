@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use bytesize::ByteSize;
 use clap::Args;
-use clap::builder::RangedI64ValueParser;
+use clap::builder::{RangedI64ValueParser, RangedU64ValueParser};
+use texir_core::atlas::LARGEST_SIDE;
 use texir_core::backend::MOST_SAMPLES;
 use texir_core::capture::{self, Capture, LoadOptions};
 
@@ -40,6 +41,21 @@ impl CaptureArgs {
 /// A size of memory, as options have it.
 pub fn bytes(text: &str) -> Result<ByteSize, String> {
     text.parse().map_err(|_| "expected a number with its unit, such as 512MiB, 2GiB or 1.5GB".to_owned())
+}
+
+/// A number that is wanted finite and at least 0, as options have it.
+pub fn not_negative(text: &str) -> Result<f32, String> {
+    number(text, |value| (0.0..f32::INFINITY).contains(&value), "a number of at least 0")
+}
+
+/// A number for which `is_wanted` holds, as options have it; `wanted` says so.
+pub fn number(text: &str, is_wanted: impl Fn(f32) -> bool, wanted: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|value| is_wanted(*value)).ok_or_else(|| format!("expected {wanted}"))
+}
+
+/// Side of a map, texels, as options have it.
+pub fn side() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=LARGEST_SIDE as u64)
 }
 
 /// Rays of a texel or a pixel, as options have them: the error of more is far below what images can tell.

@@ -2,8 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use texir_core::atlas::LARGEST_SIDE;
-
 use crate::failure::Failure;
 
 fn same(a: &Path, b: &Path) -> bool {
@@ -41,12 +39,4 @@ pub fn check_exr(output: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     Err(Failure::new(format!("{}: the output is an OpenEXR; expected a name that ends in .exr", output.display())))
-}
-
-/// Errors where a map is to have a side that no map can have.
-pub fn check_side(size: usize) -> Result<(), Failure> {
-    if (1..=LARGEST_SIDE).contains(&size) {
-        return Ok(());
-    }
-    Err(Failure::new(format!("--size is {size}; it must be at least 1 and at most {LARGEST_SIDE}")))
 }

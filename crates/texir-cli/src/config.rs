@@ -75,21 +75,24 @@ impl Config {
     pub fn resolve(common: &Common) -> Result<Self, Failure> {
         // All settings are in it, so that one of several that belong together may be changed alone.
         let mut table = Table::try_from(Self::default()).unwrap_or_default();
-        merge(&mut table, common.config.as_deref().map(read).transpose()?.unwrap_or_default());
+        let mut file = Self::default();
+        if let Some(path) = &common.config {
+            merge(&mut table, read(path)?);
+            file = from_table(&table, path.display())?;
+        }
         for assignment in &common.set {
+            let from = format!("--set {assignment}");
             let change: Table = assignment.parse().map_err(|_| {
-                Failure::new(format!("--set {assignment}: expected KEY=VALUE, the value as TOML has it"))
+                Failure::new(format!("{from}: expected KEY=VALUE, the value as TOML has it"))
                     .help("text needs quotes, and those need quotes of the shell, as in --set 'fit.mode=\"paper\"'")
             })?;
             merge(&mut table, change);
+            file = from_table(&table, &from)?;
         }
-        let wrong = |what: &dyn Display| {
-            let from = common.config.as_ref().map_or("--set".to_owned(), |path| path.display().to_string());
-            Failure::new(format!("{from}: {what}"))
-                .help("every fit writes its settings to settings.toml, which is a complete example")
-        };
-        let file: Self = table.try_into().map_err(|e| wrong(&e))?;
-        file.fit.validate().map_err(|e| wrong(&e))?;
+        // Those that belong together may only be right together.
+        let all = common.config.iter().map(|path| path.display().to_string());
+        let all: Vec<String> = all.chain(common.set.iter().map(|assignment| format!("--set {assignment}"))).collect();
+        file.fit.validate().map_err(|e| wrong(all.join(", "), e))?;
         let seed = common.seed.unwrap_or(file.fit.seed);
         let config = Self {
             backend: common.backend.unwrap_or(file.backend),
@@ -110,16 +113,49 @@ impl Config {
             Mode::Full => (Mode::Paper, "paper"),
             Mode::Paper => (Mode::Full, "full"),
         };
-        let is_idle = |assignment: &&String| {
-            let table: Table = assignment.parse().unwrap_or_default();
-            let fields = table.get("fit").and_then(Value::as_table);
-            fields.is_some_and(|fields| other.own_settings().iter().any(|name| fields.contains_key(*name)))
-        };
-        self.set.iter().find(is_idle).map_or(Ok(()), |idle| {
-            Err(Failure::new(format!("--set {idle}: only --mode {name} reads this setting"))
-                .help(format!("leave it out, or choose that mode (--set 'fit.mode=\"{name}\"')")))
-        })
+        let help = format!("leave it out, or choose that mode (--set 'fit.mode=\"{name}\"')");
+        self.refuse(
+            |setting| other.own_settings().contains(&setting),
+            &format!("only --mode {name} reads this setting"),
+            &help,
+        )
     }
+
+    /// The same of a command that fits in every mode.
+    pub fn check_set_of_all_modes(&self) -> Result<(), Failure> {
+        self.refuse(|setting| setting == "mode", "this command fits in every mode", "leave it out")
+    }
+
+    /// The same of a command that fits nothing.
+    pub fn check_set_without_fit(&self) -> Result<(), Failure> {
+        let why = "this command fits nothing, and does not read this setting";
+        self.refuse(|setting| setting != "seed", why, "leave it out; --help lists what this command has instead")
+    }
+
+    /// Errors where one of the fit's settings was typed that `is_idle`.
+    fn refuse(&self, is_idle: impl Fn(&str) -> bool, why: &str, help: &str) -> Result<(), Failure> {
+        let sets_idle = |assignment: &&String| fit_of(assignment).keys().any(|setting| is_idle(setting));
+        self.set
+            .iter()
+            .find(sets_idle)
+            .map_or(Ok(()), |idle| Err(Failure::new(format!("--set {idle}: {why}")).help(help)))
+    }
+}
+
+/// What an assignment sets of the fit.
+fn fit_of(assignment: &str) -> Table {
+    let table: Table = assignment.parse().unwrap_or_default();
+    table.get("fit").and_then(Value::as_table).cloned().unwrap_or_default()
+}
+
+/// The settings of a table, the last of which come `from` somewhere.
+fn from_table(table: &Table, from: impl Display) -> Result<Config, Failure> {
+    table.clone().try_into().map_err(|e| wrong(from, e))
+}
+
+fn wrong(from: impl Display, what: impl Display) -> Failure {
+    Failure::new(format!("{from}: {what}"))
+        .help("every fit writes its settings to settings.toml, which is a complete example")
 }
 
 fn read(path: &Path) -> Result<Table, Failure> {
@@ -183,6 +219,33 @@ mod tests {
         );
         assert!(Config::resolve(&common(&["--set", "fit.mode=\"paper\""])).is_ok());
         assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_of_where_it_was_written() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[fit.parameters]\nalbedo_range = [0.0, 0.9]\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let said = |set: &[&str]| {
+            let set = set.iter().flat_map(|set| ["--set", set]);
+            let arguments: Vec<&str> = ["--config", path].into_iter().chain(set).collect();
+            Config::resolve(&common(&arguments)).err().map(|failure| failure.to_string()).unwrap_or_default()
+        };
+        let typed = said(&["fit.seed=3", "fit.emitter=3"]);
+        assert!(typed.starts_with("--set fit.emitter=3: ") && typed.contains("emitter"), "{typed}");
+        // One that is wrong beside another is neither's fault alone.
+        let start = "fit.parameters.albedo_start=0.95";
+        let both = said(&[start]);
+        assert!(both.starts_with(&format!("{path}, --set {start}: ")), "{both}");
+        assert_eq!(said(&[start, "fit.parameters.albedo_range=[0.0, 1.0]"]), "");
+    }
+
+    #[test]
+    fn settings_of_the_fit_are_refused_where_nothing_is_fitted() {
+        let checked = |set: &str| Config::resolve(&common(&["--set", set])).unwrap().check_set_without_fit();
+        let error = format!("{:?}", checked("fit.atlas_size=256").unwrap_err());
+        assert!(error.contains("--set fit.atlas_size=256"), "{error}");
+        assert!(checked("fit.seed=3").is_ok() && checked("backend=\"cpu\"").is_ok());
     }
 
     #[test]

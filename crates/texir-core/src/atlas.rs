@@ -25,7 +25,7 @@ pub const DEFAULT_SIDE: usize = 1024;
 /// Largest side of an atlas, texels: beyond it, no graphics card holds the texture, and readers of images refuse it.
 pub const LARGEST_SIDE: usize = 16_384;
 
-/// Texels that are mapped at a time.
+/// Texels of a map that are written at a time, and mapped at least.
 pub(crate) const BAND: usize = 1 << 19;
 
 /// The texel map of a mesh: the valid texels of a `width × height` atlas and their surface points, in atlas order.
@@ -115,13 +115,13 @@ pub(crate) fn map(
     }
     let scene = backend.scene().clone();
     let mut any = false;
-    for rows in bands(width, height, BAND) {
+    for rows in mapped_bands(scene.mesh(), [width, height]) {
         let hits = backend.texels([width, height], rows.clone())?;
         let first = rows.start * width;
         let covered = || hits.iter().zip(first..).filter(|(hit, _)| hit.is_hit());
         let point = |(hit, i): (&Hit, usize)| SurfacePoint {
             sequence: i as u32,
-            ..SurfacePoint::new(&scene.mesh, &off_edge(hit), None)
+            ..SurfacePoint::new(scene.mesh(), &off_edge(hit), None)
         };
         any |= covered().next().is_some();
         take(rows, covered().map(point).collect(), covered().map(|(hit, _)| hit.t > 0.0).collect())?;
@@ -139,6 +139,12 @@ pub(crate) fn map(
 pub(crate) fn bands(width: usize, height: usize, items: usize) -> impl Iterator<Item = Range<usize>> {
     let rows = (items / width.max(1)).max(1);
     (0..height).step_by(rows).map(move |row| row..(row + rows).min(height))
+}
+
+/// Rows of a map of a mesh, in bands to be mapped at a time: each takes all triangles in hand, so that there are at
+/// least as many texels in one.
+pub(crate) fn mapped_bands(mesh: &Mesh, [width, height]: [usize; 2]) -> impl Iterator<Item = Range<usize>> {
+    bands(width, height, BAND.max(mesh.triangles.len()))
 }
 
 /// Area on the surface, m², of a texel on `triangle` in an atlas of some size; 0 for a triangle without area in it.

@@ -134,7 +134,7 @@ pub struct Gathered {
 }
 
 /// Which derivative with respect to roughness [`Backend::shade`] returns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RoughnessGradient {
     /// Exact for a density held fixed (detached sampling): Σ ψ w L [F0(1−x)+x].

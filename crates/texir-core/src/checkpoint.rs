@@ -42,13 +42,22 @@ pub struct Checkpoints {
 }
 
 /// What arrays hold.
-pub trait Element: Pod {
-    /// The scalar of an element, of which it has one or more.
-    const SCALAR: Dtype;
+pub trait Element: Pod + sealed::Scalars {}
+
+mod sealed {
+    use safetensors::Dtype;
+
+    /// An element is one scalar or more.
+    pub trait Scalars {
+        const SCALAR: Dtype;
+    }
 }
 
 macro_rules! element {
-    ($($type:ty: $scalar:ident),*) => { $(impl Element for $type { const SCALAR: Dtype = Dtype::$scalar; })* };
+    ($($type:ty: $scalar:ident),*) => { $(
+        impl Element for $type {}
+        impl sealed::Scalars for $type { const SCALAR: Dtype = Dtype::$scalar; }
+    )* };
 }
 element!(f32: F32, [f32; 2]: F32, [f32; 3]: F32, f16: F16, Curve: F16, u32: U32, u8: U8, Gathered: F32);
 

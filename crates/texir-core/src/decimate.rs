@@ -397,7 +397,7 @@ mod tests {
     /// How far along a ray the mesh is, which the ray has to meet from the back.
     fn behind(scene: &Scene, origin: Vec3, direction: Vec3) -> f32 {
         let hit: TraceHit<f32> = scene.closest(V3(origin.to_array()), V3(direction.to_array())).expect("a hole");
-        assert!(scene.mesh.face_normal(hit.triangle).dot(direction) > 0.0, "turned over at {origin} to {direction}");
+        assert!(scene.mesh().face_normal(hit.triangle).dot(direction) > 0.0, "turned over at {origin} to {direction}");
         hit.t
     }
 

@@ -46,7 +46,7 @@
 //!
 //! let gather = Gather::new(32, 32, 0); // cosine-distributed rays of a texel, rays to lights, seed
 //! let baked = bake::denoised(&mut backend, &atlas, gather, &Checkpoints::none(), &Silent)?;
-//! let irradiance = baked.map(&atlas, Buried::Fill);
+//! let irradiance = baked.map(&atlas, Buried::Fill)?;
 //!
 //! // In the middle of the floor, the panel fills 0.2394 of what a texel sees: E = π · 2 · 0.2394.
 //! let middle = irradiance.data[16 * width + 16][0];
@@ -140,4 +140,4 @@ pub mod texture;
 pub mod unwrap;
 
 /// The versions whose types this crate's API has.
-pub use {bytesize, glam};
+pub use {bytesize, glam, half};

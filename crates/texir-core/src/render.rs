@@ -90,6 +90,11 @@ impl Surfaces {
     }
 }
 
+/// Rays per pixel of a renderer that so many are asked of: as many, rounded, but no fewer than the tables need.
+pub fn rays_per_pixel(asked: u32) -> u32 {
+    TableSampling::of_rays(asked / STRATA as u32, Masking::default(), 0).rays() * STRATA as u32
+}
+
 /// Renders views of one scene.
 pub struct Renderer<'a> {
     backend: &'a mut dyn Backend,
@@ -127,12 +132,12 @@ impl<'a> Renderer<'a> {
 
     /// The mesh that views are rendered of.
     pub fn mesh(&self) -> &Mesh {
-        &self.scene.mesh
+        self.scene.mesh()
     }
 
-    /// Rays per pixel: those that were asked for, rounded, but no fewer than the tables need.
+    /// See [`rays_per_pixel`].
     pub fn rays_per_pixel(&self) -> u32 {
-        self.sampling(Masking::default()).rays() * STRATA as u32
+        rays_per_pixel(self.rays * STRATA as u32)
     }
 
     fn sampling(&self, masking: Masking) -> TableSampling {
@@ -156,7 +161,7 @@ impl<'a> Renderer<'a> {
         let scene = self.scene.clone();
         textures.check(&scene)?;
         let seen = |hit: &Hit| match hit.is_hit() {
-            true => textures.at(&Footprint::centre(&scene.mesh, hit)),
+            true => textures.at(&Footprint::centre(scene.mesh(), hit)),
             false => Seen::default(),
         };
         let (width, height) = (camera.width, camera.height);
@@ -206,7 +211,7 @@ impl<'a> Renderer<'a> {
             progress.check()?;
             let first = rows.start * SUB_PIXELS * fine.width;
             let hits = self.backend.primary(&fine, rows.start * SUB_PIXELS..rows.end * SUB_PIXELS)?;
-            let band = Band { mesh: &scene.mesh, camera: &fine, hits, first };
+            let band = Band { mesh: scene.mesh(), camera: &fine, hits, first };
             let pixels = rows.start * camera.width..rows.end * camera.width;
             // Sub-pixels that hit something, and which of these are strata.
             let hitting: Vec<u32> = sub_pixels(&fine, pixels.clone()).filter(|&i| band.hit(i).is_hit()).collect();

@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let gather = Gather::new(64, 64, 1);
     let console = Console::default();
     let baked = bake::irradiance(&mut backend, &atlas, gather, &Checkpoints::none(), &console)?;
-    let irradiance = baked.map(&atlas, Buried::Fill);
+    let irradiance = baked.map(&atlas, Buried::Fill)?;
 
     println!("device: {}", backend.name());
     println!("{} texels baked, {} million rays", atlas.points.len(), console.rays.into_inner() / 1_000_000);

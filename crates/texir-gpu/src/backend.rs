@@ -97,7 +97,7 @@ impl Backend for GpuBackend {
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
-        check::tbl(&self.scene.mesh, radiance, lights)?;
+        check::tbl(self.scene.mesh(), radiance, lights)?;
         let gpu = &self.context.gpu;
         let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, &self.scene, radiance, lights))?;
         self.lighting = Some(lighting);
@@ -112,15 +112,17 @@ impl Backend for GpuBackend {
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         countable(camera.pixels())?;
+        check::rows(&rows, camera.height)?;
         self.pass("primary", |b| primary::run(&mut b.context, &b.geometry, camera, rows))
     }
 
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
+        check::rows(&rows, size[1])?;
         if size[0] == 0 || rows.is_empty() {
             return Ok(Vec::new());
         }
         countable(size[0] * size[1])?;
-        self.pass("texels", |b| texels::run(&mut b.context, &b.scene.mesh, size, rows))
+        self.pass("texels", |b| texels::run(&mut b.context, b.scene.mesh(), size, rows))
     }
 
     fn irradiance(

@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use texir_core::backend::RoughnessGradient;
 use texir_core::error::{Error, Result};
 use texir_core::progress::Progress;
 
@@ -15,7 +16,7 @@ use crate::gpu::Gpu;
 use crate::kernel::{Kernel, Spec};
 use crate::pass::WORKGROUP;
 use crate::scene::Hierarchy;
-use crate::wgsl::{RoughnessVariant, Variant};
+use crate::wgsl::Variant;
 
 /// How long a dispatch should take.
 const TARGET: Duration = Duration::from_millis(100);
@@ -112,7 +113,7 @@ impl Context {
         entry: &'static str,
         constant: Option<(&'static str, u32)>,
     ) -> Result<Arc<Kernel>> {
-        self.kernel_with(shader, entry, constant, RoughnessVariant::Exact)
+        self.kernel_with(shader, entry, constant, RoughnessGradient::Exact)
     }
 
     /// [`Context::kernel`] with a choice of roughness derivative.
@@ -121,9 +122,9 @@ impl Context {
         shader: &'static str,
         entry: &'static str,
         constant: Option<(&'static str, u32)>,
-        roughness: RoughnessVariant,
+        roughness: RoughnessGradient,
     ) -> Result<Arc<Kernel>> {
-        let variant = Variant { fetch_texture: self.hierarchy == Hierarchy::Textures, roughness };
+        let variant = Variant { hierarchy: self.hierarchy, roughness };
         self.gpu.kernel(Spec { shader, entry, variant, constant })
     }
 

@@ -41,7 +41,13 @@ impl View {
     pub fn write<T: Pod>(&self, gpu: &Gpu, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         let whole = bytes.len() - bytes.len() % 4;
-        gpu.queue().write_buffer(&self.buffer, 0, &bytes[..whole]);
+        for (piece, bytes) in bytes[..whole].chunks(STAGING_BYTES).enumerate() {
+            if piece > 0 {
+                // Lets the queue's copy of the last piece go.
+                gpu.queue().submit([]);
+            }
+            gpu.queue().write_buffer(&self.buffer, (piece * STAGING_BYTES) as u64, bytes);
+        }
         if whole < bytes.len() {
             let mut last = [0; 4];
             last[..bytes.len() - whole].copy_from_slice(&bytes[whole..]);

@@ -57,9 +57,9 @@ pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
 }
 
 /// Storage buffers that a kernel binds at most.
-const STORAGE_BUFFERS: u32 = 10;
+pub(crate) const STORAGE_BUFFERS: u32 = 10;
 /// Threads of a workgroup at most.
-const THREADS: u32 = 256;
+pub(crate) const THREADS: u32 = 256;
 
 /// What a device cannot do that the kernels need.
 fn missing(limits: &wgpu::Limits) -> Option<String> {

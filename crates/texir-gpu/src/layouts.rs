@@ -1,15 +1,22 @@
-//! Every struct that crosses to the device, compared with what naga makes of its WGSL declaration.
+//! What host and device must agree on, compared with what naga makes of the WGSL: every struct that crosses, every
+//! constant that both have, and what kernels ask of a device.
 
 use std::mem::offset_of;
 
-use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, ShadePoint, Shaded};
+use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, RoughnessGradient, ShadePoint, Shaded};
+use texir_core::brdf::DIELECTRIC_F0;
 use texir_core::environment::{BrightPixel, BrightRow};
 use texir_core::lights::LightDensity;
-use texir_core::neighbours::Entry;
+use texir_core::neighbours::{Entry, FAR, NEAR};
 use texir_core::punctual::PunctualLight;
+use texir_core::rng::Z_SIDE;
+use texir_core::scene::MOST_LEVELS;
+use texir_core::scene::trace::BEHIND;
+use texir_core::specular_table::{LOBES, NODES, STRATA};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
 
+use crate::gpu::{STORAGE_BUFFERS, THREADS};
 use crate::pass::denoise::{DenoiseParams, Estimate};
 use crate::pass::group_loss::GroupLossParams;
 use crate::pass::irradiance::IrradianceParams;
@@ -23,8 +30,10 @@ use crate::pass::shade::ShadeParams;
 use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
+use crate::pass::{WORKGROUP, specular_table};
+use crate::scene::{Hierarchy, TEXTURE_COLUMNS};
 use crate::scene::{LightGrid, LightTriangle};
-use crate::wgsl::{RoughnessVariant, SHADERS, Variant};
+use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
 #[derive(Debug, PartialEq)]
@@ -44,7 +53,7 @@ macro_rules! host {
 
 /// The declaration of `name` in the composed shader.
 fn wgsl(shader: &str, name: &str) -> Layout {
-    let variant = Variant { fetch_texture: false, roughness: RoughnessVariant::Exact };
+    let variant = Variant { hierarchy: Hierarchy::Buffers, roughness: RoughnessGradient::Exact };
     let module = SHADERS.compose(shader, variant).unwrap().module;
     let (_, ty) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
@@ -218,4 +227,79 @@ fn a_field_that_moved_is_noticed() {
         normal: [f32; 3],
     }
     assert_ne!(host!(Tight { position, triangle, normal }), wgsl("project", "SurfacePoint"));
+}
+
+/// Shader, name and host value of every constant that both have.
+fn constants() -> Vec<(&'static str, &'static str, f64)> {
+    vec![
+        ("primary", "TEXTURE_COLUMNS", TEXTURE_COLUMNS.into()),
+        ("primary", "WORKGROUP", WORKGROUP as f64),
+        ("primary", "STACK_SIZE", (MOST_LEVELS + 1) as f64),
+        ("primary", "BEHIND", BEHIND),
+        ("shade", "DIELECTRIC_F0", DIELECTRIC_F0),
+        ("irradiance", "Z_SIDE", Z_SIDE.into()),
+        ("group_loss", "THREADS", THREADS.into()),
+        ("denoise", "NEAR_COLUMNS", NEAR as f64),
+        ("denoise", "COLUMNS", FAR as f64),
+        ("specular_table", "NODES", NODES as f64),
+        ("specular_table", "STRATA", STRATA as f64),
+        ("specular_table", "LOBES", LOBES.len() as f64),
+        ("specular_table", "LANES", specular_table::SHAPE.lanes.into()),
+    ]
+}
+
+/// A number that the composed shader calls `name`.
+fn constant(module: &naga::Module, name: &str) -> Option<f64> {
+    let (_, constant) = module.constants.iter().find(|(_, constant)| constant.name.as_deref() == Some(name))?;
+    match module.global_expressions[constant.init] {
+        naga::Expression::Literal(naga::Literal::U32(value)) => Some(value.into()),
+        naga::Expression::Literal(naga::Literal::F32(value)) => Some(value.into()),
+        _ => None,
+    }
+}
+
+#[test]
+fn constants_that_both_have_are_the_same() {
+    let variant = Variant { hierarchy: Hierarchy::Textures, roughness: RoughnessGradient::Exact };
+    for (shader, name, host) in constants() {
+        let module = SHADERS.compose(shader, variant).unwrap().module;
+        assert_eq!(constant(&module, name).map(|value| value as f32), Some(host as f32), "{name} of {shader}.wgsl");
+    }
+}
+
+/// Every entry point, composed with what suits every adapter.
+fn entry_points(mut visit: impl FnMut(&Composed, usize)) {
+    for shader in SHADERS.passes() {
+        for variant in Variant::all() {
+            let composed = SHADERS.compose(shader, variant).unwrap();
+            (0..composed.module.entry_points.len()).for_each(|entry| visit(&composed, entry));
+        }
+    }
+}
+
+#[test]
+fn workgroups_are_as_large_as_the_host_counts_them() {
+    let mut sizes = std::collections::BTreeSet::new();
+    entry_points(|composed, entry| {
+        let entry = &composed.module.entry_points[entry];
+        // Of `texels`, the host says how large they are.
+        if entry.workgroup_size_overrides.is_none() {
+            assert_eq!(entry.workgroup_size[1..], [1, 1], "{}", entry.name);
+            sizes.insert(entry.workgroup_size[0]);
+        }
+    });
+    assert_eq!(sizes.into_iter().collect::<Vec<_>>(), [WORKGROUP as u32, THREADS]);
+}
+
+#[test]
+fn kernels_bind_as_many_storage_buffers_as_devices_are_asked_for() {
+    let mut most = 0;
+    entry_points(|composed, entry| {
+        let usage = composed.info.get_entry_point(entry);
+        let is_bound = |(handle, global): &(naga::Handle<naga::GlobalVariable>, &naga::GlobalVariable)| {
+            matches!(global.space, naga::AddressSpace::Storage { .. }) && !usage[*handle].is_empty()
+        };
+        most = most.max(composed.module.global_variables.iter().filter(is_bound).count());
+    });
+    assert_eq!(most, STORAGE_BUFFERS as usize);
 }

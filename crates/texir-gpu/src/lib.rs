@@ -19,7 +19,7 @@ mod kernel;
 mod layouts;
 mod pass;
 mod scene;
-pub mod wgsl;
+mod wgsl;
 
 pub use backend::GpuBackend;
 pub use batch::GatherShape;

@@ -10,14 +10,14 @@ use texir_core::scene::Scene;
 use crate::buffer::{View, keep, uniform};
 use crate::gpu::Gpu;
 
-/// Columns of a texture that holds an array; `fetch_texture.wgsl` has the same number.
-const TEXTURE_COLUMNS: u32 = 8192;
+/// Columns of a texture that holds an array.
+pub(crate) const TEXTURE_COLUMNS: u32 = 8192;
 
 /// Bytes written into a texture at once.
 const TEXTURE_PIECE: usize = 32 << 20;
 
 /// Where the hierarchy lies on the device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Hierarchy {
     /// In storage buffers: for GPUs.
     Buffers,
@@ -81,7 +81,7 @@ pub(crate) struct Geometry {
 
 impl Geometry {
     pub fn new(gpu: &Gpu, scene: &Scene, place: Hierarchy) -> Result<Self> {
-        let (mesh, order) = (&scene.mesh, &scene.bvh.primitive_indices);
+        let (mesh, order) = (scene.mesh(), scene.primitives());
         let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
         let mut triangles = Vec::with_capacity(4 * order.len());
         for &t in order {
@@ -91,7 +91,7 @@ impl Geometry {
             triangles.push([uv_a.x, uv_a.y, uv_b.x, uv_b.y].map(f32::to_bits));
         }
         Ok(Self {
-            nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(&scene.bvh.nodes), place)?,
+            nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(scene.nodes()), place)?,
             triangles: Words::new(gpu, "triangles", &triangles, place)?,
             sky: Sky::new(gpu, None)?,
         })
@@ -175,8 +175,8 @@ pub(crate) struct Lighting {
 
 impl Lighting {
     pub fn new(gpu: &Gpu, scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<Self> {
-        let order = &scene.bvh.primitive_indices;
-        let triangles = scene.mesh.triangles.len();
+        let order = scene.primitives();
+        let triangles = scene.mesh().triangles.len();
         let mut primitive_of = vec![0; triangles];
         for (primitive, &triangle) in order.iter().enumerate() {
             primitive_of[triangle as usize] = primitive as u32;

@@ -10,6 +10,8 @@ use std::path::Path;
 use texir_core::backend::RoughnessGradient;
 use texir_core::error::{Error, Result};
 
+use crate::scene::Hierarchy;
+
 /// Sources by name, as files on disk are: `shade`, or `shared/bvh`.
 #[derive(Clone, Copy)]
 pub struct Library<'a>(pub &'a [(&'a str, &'a str)]);
@@ -56,45 +58,28 @@ pub const SHADERS: Library<'static> = Library(sources![
 /// Which modules stand behind the stand-in names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
-    /// `fetch`: the hierarchy in textures (faster on CPU adapters) instead of storage buffers.
-    pub fetch_texture: bool,
+    /// `fetch`: where the hierarchy lies.
+    pub hierarchy: Hierarchy,
     /// `roughness`: which derivative with respect to roughness shading returns.
-    pub roughness: RoughnessVariant,
-}
-
-/// [`RoughnessGradient`] as part of a key.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum RoughnessVariant {
-    /// [`RoughnessGradient::Exact`].
-    Exact,
-    /// [`RoughnessGradient::Authors`].
-    Authors,
-}
-
-impl From<RoughnessGradient> for RoughnessVariant {
-    fn from(gradient: RoughnessGradient) -> Self {
-        match gradient {
-            RoughnessGradient::Exact => Self::Exact,
-            RoughnessGradient::Authors => Self::Authors,
-        }
-    }
+    pub roughness: RoughnessGradient,
 }
 
 impl Variant {
     /// Every variant.
+    #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Self> {
-        [false, true].into_iter().flat_map(|fetch_texture| {
-            [RoughnessVariant::Exact, RoughnessVariant::Authors].map(|roughness| Self { fetch_texture, roughness })
+        [Hierarchy::Buffers, Hierarchy::Textures].into_iter().flat_map(|hierarchy| {
+            [RoughnessGradient::Exact, RoughnessGradient::Authors].map(|roughness| Self { hierarchy, roughness })
         })
     }
 
     /// The module behind an imported name.
     fn module<'n>(&self, name: &'n str) -> &'n str {
-        match (name, self.fetch_texture, self.roughness) {
-            ("fetch", true, _) => "fetch_texture",
-            ("fetch", false, _) => "fetch_buffer",
-            ("roughness", _, RoughnessVariant::Exact) => "roughness_exact",
-            ("roughness", _, RoughnessVariant::Authors) => "roughness_authors",
+        match (name, self.hierarchy, self.roughness) {
+            ("fetch", Hierarchy::Textures, _) => "fetch_texture",
+            ("fetch", Hierarchy::Buffers, _) => "fetch_buffer",
+            ("roughness", _, RoughnessGradient::Exact) => "roughness_exact",
+            ("roughness", _, RoughnessGradient::Authors) => "roughness_authors",
             _ => name,
         }
     }
@@ -112,6 +97,7 @@ pub struct Composed {
 
 impl Library<'_> {
     /// Names of the sources that are passes, not shared modules.
+    #[cfg(test)]
     pub fn passes(&self) -> impl Iterator<Item = &str> {
         self.0.iter().map(|(name, _)| *name).filter(|name| !name.starts_with("shared/"))
     }
@@ -196,9 +182,12 @@ fn chain(error: &dyn std::error::Error) -> String {
 
 fn dump(name: &str, variant: Variant, source: &str) -> Result<()> {
     let Some(folder) = std::env::var_os("TEXIR_DUMP_WGSL") else { return Ok(()) };
-    let fetch = if variant.fetch_texture { "texture" } else { "buffer" };
-    let file = Path::new(&folder).join(format!("{name}_{fetch}_{:?}.wgsl", variant.roughness).to_lowercase());
+    let Variant { hierarchy, roughness } = variant;
+    let file = Path::new(&folder).join(format!("{name}_{hierarchy:?}_{roughness:?}.wgsl").to_lowercase());
     std::fs::create_dir_all(&folder)
         .and_then(|()| std::fs::write(&file, source))
         .map_err(|e| Error::file(&file, format!("cannot write the composed shader (TEXIR_DUMP_WGSL): {e}")))
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,7 +10,7 @@ use texir_core::eval::{Evaluation, Table, check_sizes};
 use texir_core::fit::{FitSettings, Mode};
 use texir_core::outputs::{FitOutput, METRICS, RUN, SETTINGS, Staging};
 use texir_core::raster::Gray;
-use texir_core::render::Renderer;
+use texir_core::render::{self, Renderer};
 use texir_core::scene::Scene;
 
 use super::report::{name, publish};
@@ -87,9 +87,9 @@ struct Outcome {
 }
 
 impl Ablate {
-    /// Fits and evaluates every variant; those that an earlier run finished with the same capture
-    /// and settings are kept.
+    /// Fits and evaluates every variant; what an earlier run finished with the same capture, settings and rays is kept.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
+        session.config.check_set_of_all_modes()?;
         let capture = self.capture.load(session)?;
         check_folder(&self.output, &capture.files())?;
         check_sizes(&capture)?;
@@ -145,20 +145,28 @@ impl Ablate {
         (variant.set)(&mut config.fit);
         let session = &Session { config: &config, ..*session };
         let settings = std::fs::read_to_string(out.join(SETTINGS)).ok();
-        let same = settings == fit::settings(&config).ok() && self.is_of_this_capture(&out, capture);
-        let earlier = std::fs::read_to_string(out.join(METRICS)).ok();
-        let evaluation = match earlier.filter(|_| same) {
-            Some(metrics) => serde_json::from_str(&metrics).map_err(|e| {
-                let path = out.join(METRICS);
-                Failure::new(format!("{}: {e}", path.display())).help("remove it to fit this variant again")
-            })?,
+        let is_fitted = settings == fit::settings(&config).ok() && self.is_of_this_capture(&out, capture);
+        let evaluation = match self.earlier(&out, capture).filter(|_| is_fitted) {
+            Some(evaluation) => evaluation,
             None => {
                 session.console.note(&format!("{:>24}  {}", "variant", variant.name));
-                let output = fit::write(Staging::new(&out)?, capture, session)?;
+                let output = match is_fitted {
+                    true => FitOutput::load(&out, session.console)?,
+                    false => fit::write(Staging::new(&out)?, capture, session)?,
+                };
                 publish(&out, &output, capture, self.spp, session)?
             }
         };
         Ok(Outcome { name: variant.name, evaluation })
+    }
+
+    /// The evaluation that is in `out`, if it is of these views and took the rays that this one would: `texir eval` and
+    /// `texir report` may have written another there.
+    fn earlier(&self, out: &Path, capture: &Capture) -> Option<Evaluation> {
+        let metrics = std::fs::read_to_string(out.join(METRICS)).ok()?;
+        let evaluation: Evaluation = serde_json::from_str(&metrics).ok()?;
+        let same_views = evaluation.views.iter().map(|scores| &scores.name).eq(capture.views.iter().map(|v| &v.name));
+        (same_views && evaluation.samples == render::rays_per_pixel(self.spp)).then_some(evaluation)
     }
 
     /// Whether this version made what is in `out` from this capture as it lies in its folder, and no file of that was

@@ -23,8 +23,8 @@ use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
 use super::tbl;
-use crate::args::{bytes, rays};
-use crate::checks::{check_outputs, check_side};
+use crate::args::{bytes, number, rays, side};
+use crate::checks::check_outputs;
 use crate::device;
 use crate::failure::Failure;
 use crate::session::Session;
@@ -42,14 +42,14 @@ pub struct Bake {
     #[arg(short, long, value_name = "FILE", default_value = "irradiance.exr")]
     output: PathBuf,
     /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = side())]
     size: Option<usize>,
     /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded
     /// up to a multiple of four unless --no-denoise
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = rays())]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", value_parser = share_of_luminance)]
     error: Option<f32>,
     /// Write the standard error of every texel's luminance, before denoising, as NAME_stderr.exr beside the map
     #[arg(long)]
@@ -79,6 +79,12 @@ pub struct Bake {
     profile: Option<Engine>,
     #[command(flatten)]
     authored: authored::Authored,
+}
+
+/// What `--error` may be.
+fn share_of_luminance(text: &str) -> Result<f32, String> {
+    let wanted = "a share of a texel's luminance, above 0 and below 1: 0.02 is 2 %";
+    number(text, |share| share > 0.0 && share < 1.0, wanted)
 }
 
 /// Engines with a convention of their own.
@@ -111,8 +117,7 @@ struct Summary {
 impl Bake {
     /// Bakes and writes the map.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        self.size.map_or(Ok(()), check_side)?;
-        let quality = self.quality(session)?;
+        let quality = self.quality(session);
         lightmap::check_extension(&self.output)?;
         if !self.input.exists() {
             return Err(Failure::new(format!("{}: no such file or folder", self.input.display())));
@@ -147,14 +152,14 @@ impl Bake {
         };
         let size @ [width, height] = self.size.map_or([radiance.width, radiance.height], |side| [side, side]);
         let workspace = match self.max_memory {
-            Some(limit) => bake::keep_within(limit, &self.partial(), &scene.mesh, radiance.data.len(), size)?,
+            Some(limit) => bake::keep_within(limit, &self.partial(), scene.mesh(), radiance.data.len(), size)?,
             None => Workspace::Memory,
         };
         let shining = Atlas::new(backend.as_mut(), radiance.width, radiance.height)?;
         let lights = Lights::find(&scene, &shining, &radiance)?;
         drop(shining);
         backend.set_tbl(&radiance, &lights)?;
-        let identity = bake::identity(&scene.mesh, &radiance, (backend.name(), width, height, quality));
+        let identity = bake::identity(scene.mesh(), &radiance, (backend.name(), width, height, quality));
         drop(radiance);
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
         let texels = Texels::map(backend.as_mut(), size, workspace, session.console)?;
@@ -191,19 +196,15 @@ impl Bake {
     }
 
     /// How many rays, and what becomes of their noise.
-    fn quality(&self, session: &Session<'_>) -> Result<Quality, Failure> {
+    fn quality(&self, session: &Session<'_>) -> Quality {
         // Two halves of each kind of rays, where noise is told from what they differ by.
         let kinds = if self.cosine_only { 1 } else { 2 };
         let halved = self.error.is_some() || self.stderr || !self.no_denoise;
         let rays = if halved { self.spp.next_multiple_of(2 * kinds) } else { self.spp };
         let light = if self.cosine_only { 0 } else { rays / 2 };
         let gather = Gather::new(rays - light, light, session.config.fit.seed);
-        if let Some(error) = self.error.filter(|error| !(*error > 0.0 && *error < 1.0)) {
-            let what = "it must be a share of a texel's luminance, above 0 and below 1: 0.02 is 2 %";
-            return Err(Failure::new(format!("--error is {error}; {what}")));
-        }
         let error = self.error.or(self.stderr.then_some(0.0));
-        Ok(Quality { gather, error, denoise: self.denoiser() })
+        Quality { gather, error, denoise: self.denoiser() }
     }
 
     /// What removes the noise.

@@ -99,10 +99,10 @@ impl Bench {
             let start = Instant::now();
             let scene = Arc::new(Scene::new(mesh)?);
             let build_seconds = start.elapsed().as_secs_f64();
-            let hierarchy = size_of_val(&scene.bvh.nodes[..]) + size_of_val(&scene.bvh.primitive_indices[..]);
+            let hierarchy = scene.nodes().len() + size_of_val(scene.primitives());
             let mut backends = device::open_all(&scene, session.config, session.console)?;
             for backend in &mut backends {
-                backend.set_tbl(&flat.albedo, &Lights::none(&scene.mesh))?;
+                backend.set_tbl(&flat.albedo, &Lights::none(scene.mesh()))?;
             }
             if let (true, Some(first)) = (meshes.is_empty(), backends.first_mut()) {
                 let sides = ATLASES.into_iter().chain(self.large.then_some(LARGE_ATLAS));
@@ -113,9 +113,9 @@ impl Bench {
                 Ok(BackendRow { name: backend.name(), rays_per_second: rays_per_second(backend.as_mut())? })
             });
             meshes.push(MeshRow {
-                triangles: scene.mesh.triangles.len(),
+                triangles: scene.mesh().triangles.len(),
                 build_seconds,
-                bytes_per_triangle: hierarchy as f64 / scene.mesh.triangles.len() as f64,
+                bytes_per_triangle: hierarchy as f64 / scene.mesh().triangles.len() as f64,
                 backends: rows.collect::<Result<_, Failure>>()?,
             });
         }
@@ -153,7 +153,7 @@ fn tessellate(mesh: &mut Mesh, triangles: usize) {
 /// Gathers at points all over the mesh, more and more of them until it takes long enough to be measured.
 fn rays_per_second(backend: &mut dyn Backend) -> Result<f64, Failure> {
     let scene = backend.scene().clone();
-    let mesh = &scene.mesh;
+    let mesh = scene.mesh();
     let point = |i: u32| {
         let triangle = hash(i) % mesh.triangles.len() as u32;
         let [u, v] = sobol2(i, 1).map(|x| x / 2.0);

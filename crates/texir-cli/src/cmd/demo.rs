@@ -1,15 +1,16 @@
 //! `texir demo`: a synthetic flat, made and path-traced here, then fitted as any capture would be.
 
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::RangedU64ValueParser;
 use tempfile::TempDir;
 use texir_core::capture::{self, LoadOptions};
 use texir_core::demo::{self, Flat, FlatOptions, PaintStyle, RenderOptions, ShotOptions};
 use texir_core::outputs::{REPORT, SCENE, Staging};
 
 use super::fit;
+use crate::args::number;
 use crate::failure::Failure;
 use crate::figures;
 use crate::session::Session;
@@ -35,10 +36,8 @@ const TRAIN_PER_NOVEL: usize = 3;
 /// Rays per pixel of the evaluation: half the protocol's, which is enough to look at.
 const RAYS: u32 = 128;
 
-/// Panoramas that a demo may have, more than anyone has taken of a flat,
-const VIEWS: RangeInclusive<usize> = 1..=1000;
-/// and by how much more than moderately its roughness may vary.
-const VARIATION: RangeInclusive<f32> = 0.0..=10.0;
+/// The most panoramas that a demo may have: more than anyone has taken of a flat.
+const MOST_VIEWS: u64 = 1000;
 
 /// Arguments of `texir demo`.
 #[derive(Debug, Args)]
@@ -47,17 +46,23 @@ pub struct Demo {
     #[arg(short, long, value_name = "DIR", default_value = "texir-demo")]
     output: PathBuf,
     /// Rooms of the flat, 3 to 5
-    #[arg(long, value_name = "N", default_value_t = FlatOptions::default().rooms)]
+    #[arg(long, value_name = "N", default_value_t = FlatOptions::default().rooms,
+        value_parser = RangedU64ValueParser::<usize>::new().range(3..=5))]
     rooms: usize,
     /// Panoramas that the fit sees; a third as many more are held out
-    #[arg(long, value_name = "N", default_value_t = TRAIN)]
+    #[arg(long, value_name = "N", default_value_t = TRAIN, value_parser = RangedU64ValueParser::<usize>::new().range(1..=MOST_VIEWS))]
     views: usize,
     /// One colour per surface, no patterns
     #[arg(long)]
     plain: bool,
     /// How much roughness varies within surfaces: 0 not at all, 1 moderately
-    #[arg(long, value_name = "AMOUNT", default_value_t = FlatOptions::default().roughness_variation)]
+    #[arg(long, value_name = "AMOUNT", default_value_t = FlatOptions::default().roughness_variation, value_parser = variation)]
     roughness_variation: f32,
+}
+
+/// What `--roughness-variation` may be.
+fn variation(text: &str) -> Result<f32, String> {
+    number(text, |amount| (0.0..=10.0).contains(&amount), "a number from 0 to 10")
 }
 
 /// Seed of everything random in the capture. The built-in flats are numbered from 1.
@@ -85,15 +90,6 @@ impl Demo {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
         session.config.check_set()?;
-        if !VIEWS.contains(&self.views) {
-            let (least, most) = (VIEWS.start(), VIEWS.end());
-            return Err(Failure::new(format!("--views is {}; expected {least} to {most}", self.views)));
-        }
-        if !VARIATION.contains(&self.roughness_variation) {
-            let (least, most) = (VARIATION.start(), VARIATION.end());
-            let value = self.roughness_variation;
-            return Err(Failure::new(format!("--roughness-variation is {value}; expected {least} to {most}")));
-        }
         check_replaceable(&folder)?;
         let of_flat = self.of_flat(session);
         let flat = Flat::generate(&of_flat)?;

@@ -348,7 +348,7 @@ fn probe(backend: &mut CpuBackend, view: &View) -> Result<ViewFindings, Failure>
         }
         seen += weight;
         nearest = nearest.min(hit.t);
-        if scene.mesh.face_normal(hit.triangle).dot(around.direction(x, y)) > 0.0 {
+        if scene.mesh().face_normal(hit.triangle).dot(around.direction(x, y)) > 0.0 {
             behind += weight;
         }
     }

@@ -53,8 +53,18 @@ pub enum Command {
     Bench(bench::Bench),
 }
 
+impl Command {
+    /// Whether it reads what a fit is set to.
+    fn fits(&self) -> bool {
+        matches!(self, Self::Demo(_) | Self::Inspect(_) | Self::Fit(_) | Self::Ablate(_))
+    }
+}
+
 /// Runs a command.
 pub fn run(command: &Command, session: &Session<'_>) -> Result<(), Failure> {
+    if !command.fits() {
+        session.config.check_set_without_fit()?;
+    }
     match command {
         Command::Demo(command) => command.run(session),
         Command::Inspect(command) => command.run(session),

@@ -34,7 +34,7 @@ pub fn write(backend: &mut dyn Backend, views: &[View], folder: &Path, progress:
         let camera = reduced(&view.camera, step);
         let image = shown(&view.load_picture(progress)?, &camera, step);
         let hits = backend.primary(&camera, camera.rows())?;
-        let image = with_edges(image, &backend.scene().mesh, &hits);
+        let image = with_edges(image, backend.scene().mesh(), &hits);
         write_png_rgb(folder.join(format!("{}.png", view.name)), &image)?;
         progress.advance(1);
     }

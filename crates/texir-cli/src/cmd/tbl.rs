@@ -10,8 +10,8 @@ use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
 use super::corrections::CorrectionArgs;
-use crate::args::CaptureArgs;
-use crate::checks::{check_exr, check_outputs, check_side};
+use crate::args::{CaptureArgs, side};
+use crate::checks::{check_exr, check_outputs};
 use crate::device;
 use crate::failure::Failure;
 use crate::session::Session;
@@ -28,7 +28,7 @@ pub struct Tbl {
     output: PathBuf,
     /// Side of the texture, texels [default: 1024, or 2048 where the training views have more pixels than that has
     /// texels]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = side())]
     size: Option<usize>,
 }
 
@@ -45,7 +45,6 @@ struct Summary {
 impl Tbl {
     /// Builds and writes the texture.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        self.size.map_or(Ok(()), check_side)?;
         if self.capture.tbl.is_some() {
             return Err(Failure::new("--tbl names an HDR texture, which is what this command makes of the views")
                 .help("leave it out; --output says where the texture goes"));

@@ -120,9 +120,9 @@ fn scenes_that_cannot_be_baked_say_why() {
     bake(&out.with_extension("png"), &[]).complains(&["out.png", ".ktx2"]);
     bake(&scene.with_extension("exr"), &[]).complains(&["scene.glb", "--output"]);
     bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
-    bake(&out, &["--tolerance", "nan"]).complains(&["--tolerance is NaN"]);
+    bake(&out, &["--tolerance", "nan"]).complains(&["nan", "--tolerance", "at least 0"]);
     for share in ["2", "1", "0", "nan"] {
-        bake(&out, &["--error", share]).complains(&["--error is", "above 0 and below 1"]);
+        bake(&out, &["--error", share]).complains(&["--error", "above 0 and below 1"]);
     }
     bake(&out, &["--max-memory", "1MiB"]).complains(&["limit of memory is 1.0 MiB", "32×32", "raise it"]);
     assert!(!out.exists() && !out.with_extension("exr.partial").exists());
@@ -135,7 +135,7 @@ fn scenes_that_cannot_be_baked_say_why() {
     std::fs::create_dir(folder.path().join("taken.glb")).unwrap();
     bake(&folder.path().join("taken.exr"), &[]).complains(&["taken.glb", "folder"]);
     let large = ["--size".as_ref(), "20000".as_ref(), "-o".as_ref(), out.as_os_str()];
-    run(&[&["bake".as_ref(), scene.as_os_str()], &large[..]].concat()).complains(&["--size is 20000", "16384"]);
+    run(&[&["bake".as_ref(), scene.as_os_str()], &large[..]].concat()).complains(&["20000", "--size", "16384"]);
     let nowhere = folder.path().join("nowhere.glb");
     run(&["bake".as_ref(), nowhere.as_os_str()]).complains(&["nowhere.glb", "no such file"]);
 }

@@ -172,12 +172,14 @@ fn options_that_would_do_nothing() {
     let capture = Capture::new();
     let (input, out) = (capture.path(), capture.out("out.exr"));
     let texture = capture.file("mesh.obj");
-    let cases: [(&str, &str, &OsStr); 5] = [
+    let cases: [(&str, &str, &OsStr); 7] = [
         ("tbl", "--tbl", texture.as_os_str()),
         ("bake", "--bounces", "2".as_ref()),
         ("bake", "--tolerance", "0.1".as_ref()),
         ("bake", "--environment", texture.as_os_str()),
         ("bake", "--profile", "moz".as_ref()),
+        ("bake", "--set", "fit.atlas_size=64".as_ref()),
+        ("ablate", "--set", "fit.mode=\"full\"".as_ref()),
     ];
     for (command, option, value) in cases {
         let how = [command.as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str(), option.as_ref(), value];

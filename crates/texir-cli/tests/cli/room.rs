@@ -239,8 +239,10 @@ fn light(backend: &mut CpuBackend, paints: &[Paint]) -> Textures {
         let radiance = outgoing(&albedo, &irradiance, &emission);
         backend.set_tbl(&radiance, &lights).unwrap();
         let gather = Gather::new(32, 32, bounce as u32);
-        irradiance =
-            bake::irradiance(backend, &atlas, gather, &Checkpoints::none(), &Silent).unwrap().map(&atlas, Buried::Fill);
+        irradiance = bake::irradiance(backend, &atlas, gather, &Checkpoints::none(), &Silent)
+            .unwrap()
+            .map(&atlas, Buried::Fill)
+            .unwrap();
     }
     Textures {
         albedo,

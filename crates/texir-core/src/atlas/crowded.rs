@@ -4,7 +4,7 @@
 use glam::Vec2;
 use rayon::prelude::*;
 
-use super::{BAND, bands};
+use super::mapped_bands;
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::mesh::Mesh;
@@ -34,13 +34,13 @@ pub fn crowded(backend: &mut dyn Backend, size: [usize; 2]) -> Result<Option<Str
 fn beside_strangers(backend: &mut dyn Backend, [width, height]: [usize; 2]) -> Result<f64> {
     let scene = backend.scene().clone();
     let [mut strange, mut valid] = [0; 2];
-    for rows in bands(width, height, BAND) {
+    for rows in mapped_bands(scene.mesh(), [width, height]) {
         let above = rows.start.saturating_sub(1);
         let hits = backend.texels([width, height], above..rows.end)?;
         let hit = |x: usize, y: usize| &hits[(y - above) * width + x];
         let blends = |(x, y): (usize, usize)| {
             let beside = [x.checked_sub(1).map(|left| hit(left, y)), y.checked_sub(1).map(|above| hit(x, above))];
-            beside.into_iter().flatten().any(|other| are_strangers(&scene.mesh, [width, height], [hit(x, y), other]))
+            beside.into_iter().flatten().any(|other| are_strangers(scene.mesh(), [width, height], [hit(x, y), other]))
         };
         let is_valid = |at: &(usize, usize)| hit(at.0, at.1).is_hit();
         let texels =

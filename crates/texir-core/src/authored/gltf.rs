@@ -188,7 +188,9 @@ impl Model {
         let materials = self.materials();
         let [mut albedo, mut emission] = [(); 2].map(|()| Rgb::filled(width, height, [0.0; 3]));
         let mut filled = vec![false; width * height];
-        for rows in bands(width, height, BAND) {
+        // A band takes all triangles in hand, and has this many lookups at a texel.
+        let least = backend.scene().mesh().triangles.len() / (LOOKUPS * LOOKUPS);
+        for rows in bands(width, height, BAND.max(least)) {
             let hits = backend.texels([columns, LOOKUPS * height], LOOKUPS * rows.start..LOOKUPS * rows.end)?;
             let texel = |point: &SurfacePoint| {
                 let (x, y) = (point.sequence as usize % width, point.sequence as usize / width - rows.start);

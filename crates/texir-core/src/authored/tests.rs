@@ -661,7 +661,7 @@ fn surfaces_that_no_scene_has_are_refused() {
         irradiance(backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap_err().to_string()
     };
     assert!(error(&mut backend, f32::NAN).contains("tolerance of bounces is NaN"));
-    let mut smaller = backend.scene().mesh.clone();
+    let mut smaller = backend.scene().mesh().clone();
     smaller.triangles.truncate(1);
     let said = error(&mut CpuBackend::new(Scene::new(smaller).unwrap()), 0.1);
     assert!(said.contains("of a mesh of 1; expected texels of the backend's mesh"), "{said}");

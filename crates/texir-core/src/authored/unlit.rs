@@ -47,7 +47,7 @@ pub fn unlit(
     if points.is_empty() {
         return Ok(Vec::new());
     }
-    let mesh = &backend.scene().mesh;
+    let mesh = backend.scene().mesh();
     let behind: Vec<SurfacePoint> = points.iter().map(|suspect| suspect.point.behind(mesh)).collect();
     let light = light_at(backend, texels, surfaces, solution, &behind, progress)?;
     for (suspect, _) in points.iter().zip(light).filter(|(_, light)| *light >= LIT * mean) {

@@ -1,6 +1,8 @@
 //! Checks of what passes are given. Every backend makes them, so that misuse is the same error with each.
 
-use super::{BRIGHTEST, Gather, GroupTarget, Groups, MOST_SAMPLES, Material, Sampling, ShadePoint, Shaded};
+use std::ops::Range;
+
+use super::{BRIGHTEST, Gather, GroupTarget, Groups, MOST_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
@@ -56,9 +58,25 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     Err(Error::invalid("the lights' clusters, tables and grid do not fit each other; expected those that Lights makes"))
 }
 
+/// That rows are those of an image or an atlas of so many.
+pub fn rows(rows: &Range<usize>, height: usize) -> Result<()> {
+    if rows.start <= rows.end && rows.end <= height {
+        return Ok(());
+    }
+    Err(Error::invalid(format!("rows {rows:?} are asked for; expected rows of the {height} that there are")))
+}
+
 /// That irradiance is gathered by some cosine samples ([`super::Gathered::back_faces`] is their share), and not by too
-/// many of a kind.
+/// many of a kind; and that texels which share a sequence have a part of it each.
 pub fn irradiance(gather: Gather) -> Result<()> {
+    if let Sequences::Shared { width, part, parts } = gather.sequences
+        && (width == 0 || part >= parts)
+    {
+        return Err(Error::invalid(format!(
+            "part {part} of {parts} of the sequences of a map {width} texels wide; expected a part below their number, and a \
+             width of at least 1"
+        )));
+    }
     drawn(gather.cosine)?;
     drawn(gather.light.max(1))
 }
@@ -73,9 +91,15 @@ pub fn punctual(lights: &[PunctualLight]) -> Result<()> {
     lights.iter().try_for_each(PunctualLight::check)
 }
 
-/// That every point has a material.
+/// That every point has a material, and none is a perfect mirror, of which no density can be sampled.
 pub fn shade(points: &[ShadePoint], materials: &[Material], sampling: Sampling) -> Result<()> {
     sized("materials to shade", materials.len(), points.len())?;
+    if let Some(material) = materials.iter().find(|material| !(material.roughness > 0.0 && material.roughness <= 1.0)) {
+        return Err(Error::invalid(format!(
+            "roughness {} of a material to shade; expected one in (0, 1]",
+            material.roughness
+        )));
+    }
     drawn(sampling.samples)
 }
 

@@ -26,7 +26,7 @@ pub use self::thinned::thinned;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::checkpoint::Checkpoints;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::raster::Rgb;
@@ -59,10 +59,17 @@ pub enum Buried {
 }
 
 impl Baked {
-    /// The atlas, padded by [`PADDING`] texels around the charts.
-    pub fn map(&self, atlas: &Atlas, buried: Buried) -> Rgb {
+    /// The atlas, padded by [`PADDING`] texels around the charts. Errors where it is not the atlas that was baked.
+    pub fn map(&self, atlas: &Atlas, buried: Buried) -> Result<Rgb> {
+        if self.irradiance.len() != atlas.texels.len() {
+            return Err(Error::invalid(format!(
+                "an atlas of {} texels is given; expected that of the {} that were baked",
+                atlas.texels.len(),
+                self.irradiance.len()
+            )));
+        }
         let known: Vec<bool> = self.buried.iter().map(|inside| !inside || buried == Buried::Keep).collect();
-        atlas.scatter_padded(&self.irradiance, &known, [0.0; 3], PADDING)
+        Ok(atlas.scatter_padded(&self.irradiance, &known, [0.0; 3], PADDING))
     }
 }
 

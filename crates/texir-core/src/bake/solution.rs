@@ -276,7 +276,7 @@ pub fn solve(
     if quality.error.is_none() && quality.denoise.is_none() {
         return as_gathered(backend, texels, quality.gather, checkpoints, progress);
     }
-    let surface = Surface::new(texels, &backend.scene().mesh, denoise::REACH.max(estimate::RADIUS))?;
+    let surface = Surface::new(texels, backend.scene().mesh(), denoise::REACH.max(estimate::RADIUS))?;
     solve_on(backend, &surface, quality, checkpoints, progress)
 }
 

@@ -67,7 +67,7 @@ impl Progress for Stop {
 
 pub(super) fn lit(scene: &Arc<Scene>, radiance: &Rgb) -> CpuBackend {
     let mut backend = CpuBackend::new(scene.clone());
-    backend.set_tbl(radiance, &Lights::none(&scene.mesh)).unwrap();
+    backend.set_tbl(radiance, &Lights::none(scene.mesh())).unwrap();
     backend
 }
 
@@ -91,7 +91,7 @@ fn in_tiles(
 }
 
 fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> Checkpoints {
-    Checkpoints::open(path, &identity(&scene.mesh, radiance, GATHER), progress).unwrap()
+    Checkpoints::open(path, &identity(scene.mesh(), radiance, GATHER), progress).unwrap()
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let mut bake = |radiance: &Rgb, gather, stop: &Stop| {
-        let kept = Checkpoints::open(&path, &identity(&scene.mesh, radiance, gather), stop).unwrap();
+        let kept = Checkpoints::open(&path, &identity(scene.mesh(), radiance, gather), stop).unwrap();
         in_tiles(&mut backend, &atlas, gather, TILE, &kept, stop)
     };
     let begin = Stop { limit: 500, ..Stop::default() };
@@ -172,7 +172,7 @@ fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let whole = run(&Checkpoints::none(), &Silent).unwrap();
     let most = 256 * atlas.points.len() as u64;
     assert!((most / 8 + 1..most).contains(&whole.rays), "{} of {most} rays", whole.rays);
-    let open = || Checkpoints::open(&path, &identity(&scene.mesh, &radiance, quality), &Silent).unwrap();
+    let open = || Checkpoints::open(&path, &identity(scene.mesh(), &radiance, quality), &Silent).unwrap();
     for limit in [1, whole.rays / 4, whole.rays / 2] {
         let stop = Stop { limit, ..Stop::default() };
         assert!(matches!(run(&open(), &stop), Err(Error::Cancelled)));
@@ -220,7 +220,7 @@ fn buried_texels_take_what_is_lit_beside_them_and_keep_the_rest() {
         standard_error: None,
         rays: 0,
     };
-    let (filled, kept) = (baked.map(&atlas, Buried::Fill), baked.map(&atlas, Buried::Keep));
+    let (filled, kept) = (baked.map(&atlas, Buried::Fill).unwrap(), baked.map(&atlas, Buried::Keep).unwrap());
     for (texel, row) in atlas.texels.iter().map(|texel| (*texel as usize, row(texel))) {
         let taken = if (first_lit - PADDING..first_lit).contains(&row) { first_lit } else { row };
         assert!(filled.data[texel] == [taken as f32; 3] && kept.data[texel] == [row as f32; 3], "row {row}");
@@ -249,7 +249,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let mut texels = |workspace| Texels::map(&mut backend, [LARGE; 2], workspace, &Silent).unwrap();
     let (memory, disk) = (texels(Workspace::Memory), texels(on_disk(folder.path())));
     assert_eq!(disk.valid(), atlas.texels.len());
-    assert_eq!(disk.typical(&scene.mesh).unwrap(), atlas.typical_texel(&scene.mesh));
+    assert_eq!(disk.typical(scene.mesh()).unwrap(), atlas.typical_texel(scene.mesh()));
     let regression = Some(Denoiser::Regression);
     let ways = [(None, None), (None, regression), (Some(0.0), None), (Some(0.0), regression), (Some(0.2), regression)];
     for (error, denoise) in ways {
@@ -262,7 +262,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
         assert!(buried > 10 && on_disk.buried().unwrap() == buried && on_disk.rays == baked.rays, "{quality:?}");
         for buried in [Buried::Keep, Buried::Fill] {
             let whole = maps(&in_memory, &memory, buried, LARGE);
-            assert!(whole.0 == baked.map(&atlas, buried).data, "{quality:?}, {buried:?}");
+            assert!(whole.0 == baked.map(&atlas, buried).unwrap().data, "{quality:?}, {buried:?}");
             assert!(error.is_none() || whole.1.iter().any(|e| *e > 0.0));
             for band in [1, 7, 16] {
                 assert!(maps(&on_disk, &disk, buried, band) == whole, "{quality:?}, {buried:?}, {band} rows");
@@ -272,7 +272,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     // Negative control: where blocks have not enough around them, their borders differ.
     let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
     let mut solve = |texels: &Texels<'_>, reach| {
-        let surface = Surface::new(texels, &scene.mesh, reach).unwrap();
+        let surface = Surface::new(texels, scene.mesh(), reach).unwrap();
         let solved = solution::solve_on(&mut backend, &surface, &quality, &Checkpoints::none(), &Silent).unwrap();
         maps(&solved, texels, Buried::Keep, LARGE).0
     };
@@ -317,7 +317,7 @@ fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
     let path = folder.path().join("map.exr.partial");
     let quality =
         Quality { gather: Gather { cosine: 128, ..GATHER }, error: Some(0.2), denoise: Some(Denoiser::Regression) };
-    let open = || Checkpoints::open(&path, &identity(&scene.mesh, &radiance, quality), &Silent).unwrap();
+    let open = || Checkpoints::open(&path, &identity(scene.mesh(), &radiance, quality), &Silent).unwrap();
     let mut run = |workspace: Workspace, kept: &Checkpoints, progress: &dyn Progress| -> Result<_> {
         let texels = Texels::map(&mut backend, [LARGE; 2], workspace, &Silent)?;
         let solution = super::solve(&mut backend, &texels, &quality, kept, progress)?;
@@ -349,14 +349,14 @@ fn texels_too_close_together_for_the_memory_are_an_error_that_says_what_would_do
     let folder = tempfile::tempdir().unwrap();
     let small = Workspace::Disk { folder: folder.path().to_owned(), memory: ByteSize(50 * POINT) };
     let texels = Texels::map(&mut backend, [LARGE; 2], small, &Silent).unwrap();
-    let error = Surface::new(&texels, &scene.mesh, denoise::REACH).err().unwrap().to_string();
+    let error = Surface::new(&texels, scene.mesh(), denoise::REACH).err().unwrap().to_string();
     assert!(error.contains("more memory") && error.contains("KiB"), "{error}");
 }
 
 #[test]
 fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
     let (scene, _) = strips();
-    let plan = |limit, side| keep_within(limit, Path::new("x.partial"), &scene.mesh, 256, [side; 2]);
+    let plan = |limit, side| keep_within(limit, Path::new("x.partial"), scene.mesh(), 256, [side; 2]);
     assert_eq!(plan(ByteSize::gib(1), 512).unwrap(), Workspace::Memory);
     let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 16384).unwrap() else { panic!("in memory") };
     assert!(memory < ByteSize::gib(1) && memory > ByteSize::mib(800), "{memory}");
@@ -368,8 +368,9 @@ fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
 #[test]
 fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     let (scene, _) = strips();
-    let beside =
-        |limit, images, side: usize| keep_bounces_within(limit, Path::new("x.partial"), &scene.mesh, images, [side; 2]);
+    let beside = |limit, images, side: usize| {
+        keep_bounces_within(limit, Path::new("x.partial"), scene.mesh(), images, [side; 2])
+    };
     let plan = |limit, side| beside(limit, 0, side);
     assert_eq!(plan(ByteSize::gib(1), 1024).unwrap(), Workspace::Memory);
     let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 2048).unwrap() else { panic!("in memory") };
@@ -386,7 +387,7 @@ fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
 #[test]
 fn a_bake_goes_on_only_with_what_it_was_begun_with() {
     let (scene, radiance) = two_sheets();
-    let mesh = &scene.mesh;
+    let mesh = scene.mesh();
     let of = |mesh: &Mesh, radiance: &Rgb, seed: u32| identity(mesh, radiance, seed);
     let own = of(mesh, &radiance, 1);
     assert_eq!(own, of(&mesh.clone(), &radiance.clone(), 1));

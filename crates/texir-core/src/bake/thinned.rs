@@ -24,7 +24,7 @@ pub fn thinned(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    let Thin { points, of } = Thin::new(atlas, APART * atlas.typical_texel(&backend.scene().mesh));
+    let Thin { points, of } = Thin::new(atlas, APART * atlas.typical_texel(backend.scene().mesh()));
     let texels = Texels::of_points([atlas.width.div_ceil(2), atlas.height.div_ceil(2)], points);
     let baked = solve(backend, &texels, &Quality::denoised(gather), checkpoints, progress)?.into_baked()?;
     Ok(Baked {

@@ -261,7 +261,7 @@ impl Shown {
         let camera = &view.camera;
         let (known, usable) = (image.finite(), view.usable(image)?);
         let hits = backend.primary(camera, camera.rows())?;
-        let mesh = &backend.scene().mesh;
+        let mesh = backend.scene().mesh();
         let mut cells: HashMap<Cell, (f64, f64)> = HashMap::new();
         // Masks leave out lights, and with them what this is about.
         for (pixel, hit) in hits.iter().enumerate().filter(|(pixel, _)| known.data[*pixel]) {

@@ -108,7 +108,7 @@ impl Backend for CpuBackend {
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
-        check::tbl(&self.scene.mesh, radiance, lights)?;
+        check::tbl(self.scene.mesh(), radiance, lights)?;
         self.tbl = Some((radiance.clone(), lights.clone()));
         Ok(())
     }
@@ -119,6 +119,7 @@ impl Backend for CpuBackend {
     }
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
+        check::rows(&rows, camera.height)?;
         let hit = |i: usize| {
             primary::primary::<f32>(&*self.scene, camera, i % camera.width, i / camera.width)
                 .map_or(Hit::MISS, Hit::from)
@@ -127,7 +128,8 @@ impl Backend for CpuBackend {
     }
 
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
-        let (mesh, [width, height]) = (&self.scene.mesh, size);
+        let (mesh, [width, height]) = (self.scene.mesh(), size);
+        check::rows(&rows, height)?;
         let bins = texels::TileBins::new(mesh, size, rows.clone())?;
         let corners = |t: u32| mesh.corner_uvs(t).map(|uv| [uv.x * width as f32, uv.y * height as f32]);
         let hit = |i: usize| {

@@ -244,10 +244,10 @@ fn lookup_vjp_is_the_transpose_of_lookup() {
 fn a_closed_box_of_constant_radiance_is_a_furnace() {
     let scene = Arc::new(Scene::new(box_room()).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    backend.set_tbl(&Rgb::filled(4, 4, [2.0, 1.0, 0.5]), &Lights::none(&scene.mesh)).unwrap();
+    backend.set_tbl(&Rgb::filled(4, 4, [2.0, 1.0, 0.5]), &Lights::none(scene.mesh())).unwrap();
     let hits = backend.texels([24, 8], 0..8).unwrap();
     let points: Vec<SurfacePoint> =
-        hits.iter().filter(|h| h.is_hit()).map(|h| SurfacePoint::new(&scene.mesh, h, None)).collect();
+        hits.iter().filter(|h| h.is_hit()).map(|h| SurfacePoint::new(scene.mesh(), h, None)).collect();
     assert!(points.len() > 100);
     for g in backend.irradiance(&points, Gather::new(64, 64, 3), &Silent).unwrap() {
         let e = g.irradiance;
@@ -272,7 +272,7 @@ fn a_smooth_conductor_in_a_furnace_reflects_its_f0() {
 #[test]
 fn obvhs_and_the_exhaustive_search_agree() {
     let scene = Arc::new(Scene::new(box_room()).unwrap());
-    let exhaustive = Exhaustive(&scene.mesh);
+    let exhaustive = Exhaustive(scene.mesh());
     for i in 0..500 {
         let [u, v] = sobol2(i, 1);
         let d = V3([u - 0.5, v - 0.5, sobol2(i, 2)[0] - 0.5]).normalize();

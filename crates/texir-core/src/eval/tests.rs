@@ -88,7 +88,7 @@ fn capture(folder: &Path, scene: &Scene, renderer: &mut Renderer<'_>, textures: 
     Capture {
         root: folder.to_owned(),
         mesh_path: folder.join("mesh.obj"),
-        mesh: scene.mesh.clone(),
+        mesh: scene.mesh().clone(),
         views: views.to_vec(),
         tbl: None,
         truth: Some(truth),

@@ -124,7 +124,7 @@ mod tests {
         let mut bake = |radiance: &Rgb| {
             backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance).unwrap()).unwrap();
             let baked = bake::denoised(&mut backend, &atlas, gather, &none, &Silent).unwrap();
-            baked.map(&atlas, Buried::Fill)
+            baked.map(&atlas, Buried::Fill).unwrap()
         };
         let error = |e: &Rgb| {
             let off = |i: usize| (e.data[atlas.texels[i] as usize][0] / truth[i] - 1.0).abs();

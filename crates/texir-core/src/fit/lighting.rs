@@ -37,7 +37,7 @@ pub(super) fn lighting(
     let size = match (settings.atlas_size, &given) {
         (0, Some(tbl)) => tbl.radiance.size(),
         (0, None) => {
-            let side = memory::default_side(&training, &backend.scene().mesh, settings);
+            let side = memory::default_side(&training, backend.scene().mesh(), settings);
             (side, side)
         }
         (size, _) => (size, size),
@@ -53,7 +53,7 @@ pub(super) fn lighting(
     let atlas = Atlas::new(backend, size.0, size.1)?;
     crowded(backend, size.into())?.iter().for_each(|what| progress.warn(what));
     // Before the first long step: what does not fit in memory is refused.
-    let mut views = memory::affordable(&training, (&backend.scene().mesh, &atlas), settings, progress)?;
+    let mut views = memory::affordable(&training, (backend.scene().mesh(), &atlas), settings, progress)?;
     let survey = Survey::new(backend, &training, progress)?;
     survey.warnings().iter().for_each(|what| progress.warn(what));
     let unit = unit(survey.radiance());

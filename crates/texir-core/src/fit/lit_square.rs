@@ -39,7 +39,7 @@ impl LitSquare {
         };
         let scene = Arc::new(Scene::new(mesh).unwrap());
         let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIDE, SIDE).unwrap();
-        let adjacency = Adjacency::new(&scene.mesh, &atlas);
+        let adjacency = Adjacency::new(scene.mesh(), &atlas);
         Self { scene, atlas, adjacency, folder: tempfile::tempdir().unwrap() }
     }
 
@@ -61,7 +61,7 @@ impl LitSquare {
                     backend.primary(&fine, fine.rows()).unwrap().iter().enumerate().filter(|(_, hit)| hit.is_hit())
                 {
                     let pixel = i / fine.width / AXIS * width + i % fine.width / AXIS;
-                    for tap in index.bilinear(hit.uv(&self.scene.mesh)) {
+                    for tap in index.bilinear(hit.uv(self.scene.mesh())) {
                         let seen = texture.data[self.atlas.texels[tap.texel as usize] as usize];
                         (0..3).for_each(|c| image.data[pixel][c] += seen[c] * tap.weight / (AXIS * AXIS) as f32);
                     }

@@ -153,7 +153,7 @@ mod tests {
     #[test]
     fn an_atlas_that_nobody_asked_for_holds_what_views_show_as_far_as_memory_does() {
         let square = LitSquare::new();
-        let mesh = &square.scene.mesh;
+        let mesh = square.scene.mesh();
         let settings = FitSettings::default();
         let views = |width, height, count: usize| {
             let view = square.views(&texture(), (8, 4)).swap_remove(0);
@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn views_are_reduced_to_what_the_atlas_holds_and_are_means() {
         let square = LitSquare::new();
-        let place = (&square.scene.mesh, &square.atlas);
+        let place = (square.scene.mesh(), &square.atlas);
         let settings = FitSettings::default();
         // 64 texels: 256 pixels are useful. Five views of 8 × 4 are fewer, five of 32 × 16 are ten times as many.
         let few = square.views(&texture(), (8, 4));
@@ -191,14 +191,14 @@ mod tests {
     #[test]
     fn memory_is_kept_to_or_refused() {
         let square = LitSquare::new();
-        let place = (&square.scene.mesh, &square.atlas);
+        let place = (square.scene.mesh(), &square.atlas);
         let views = square.views(&texture(), (8, 4));
         let at = |max_memory| FitSettings { max_memory, ..FitSettings::default() };
-        let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, &square.scene.mesh);
+        let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, square.scene.mesh());
         assert!(affordable(&views, place, &at(all), &Silent).unwrap().iter().all(|v| v.reduction == 1));
         let most = affordable(&views, place, &at(ByteSize(all.0 - 1)), &Silent).unwrap();
         assert_eq!(most.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 1, 1, 2, 1]);
-        let half = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 88, &square.scene.mesh);
+        let half = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 88, square.scene.mesh());
         let some = affordable(&views, place, &at(half), &Silent).unwrap();
         assert_eq!(some.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 2, 1, 2, 2]);
         let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
@@ -210,7 +210,7 @@ mod tests {
         let square = LitSquare::new();
         let warnings = Warnings::default();
         let views = square.views(&texture(), (32, 16));
-        affordable(&views, (&square.scene.mesh, &square.atlas), &FitSettings::default(), &warnings).unwrap();
+        affordable(&views, (square.scene.mesh(), &square.atlas), &FitSettings::default(), &warnings).unwrap();
         let said = warnings.all();
         assert!(said.len() == 1 && said[0].contains("160 pixels of 2560, as the atlas"), "{said:?}");
         assert_eq!(

@@ -41,7 +41,7 @@ pub use paper::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
 /// What both modes start from: the light of the scene, and where its texels are.
-pub struct Ground<'a> {
+struct Ground<'a> {
     /// The texels of the backend's scene.
     pub atlas: &'a Atlas,
     /// Edge of a typical one on the surface, metres.
@@ -65,7 +65,7 @@ pub struct Ground<'a> {
 }
 
 /// What a mode yields, in the atlas.
-pub struct Materials {
+struct Materials {
     /// Linear albedo.
     pub albedo: Rgb,
     /// Perceptual roughness.
@@ -110,7 +110,7 @@ pub fn fit(
 ) -> Result<FitResult> {
     settings.validate()?;
     let scene = backend.scene().clone();
-    if scene.mesh.positions != capture.mesh.positions || scene.mesh.triangles != capture.mesh.triangles {
+    if scene.mesh().positions != capture.mesh.positions || scene.mesh().triangles != capture.mesh.triangles {
         return Err(Error::invalid(format!(
             "{}: its mesh is not the backend's; make the backend with the scene of this capture",
             capture.root.display()
@@ -121,7 +121,7 @@ pub fn fit(
 
     // First, as it takes a second and refuses meshes in other units than metres.
     let cameras: Vec<Vec3> = capture.views.iter().map(|v| v.camera.position()).collect();
-    let plan = rooms::detect(&scene.mesh, &cameras, &RoomOptions::default())?;
+    let plan = rooms::detect(scene.mesh(), &cameras, &RoomOptions::default())?;
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
@@ -129,16 +129,16 @@ pub fn fit(
         lighting(backend, (capture.tbl.as_deref(), training), settings, progress)?;
     timings.mark("texture-based lighting");
 
-    let adjacency = Adjacency::new(&scene.mesh, &atlas);
+    let adjacency = Adjacency::new(scene.mesh(), &atlas);
     let lights = Lights::find(&scene, &atlas, &tbl.radiance)?;
     backend.set_tbl(&tbl.radiance, &lights)?;
-    let texel = atlas.typical_texel(&scene.mesh);
+    let texel = atlas.typical_texel(scene.mesh());
     let rays = settings.irradiance_rays(texel);
     let gather = Gather::new(rays - rays / 2, rays / 2, settings.seed);
     // Where it is gathered again it only has to tell what light surfaces send, and most of that is known from the
     // views.
     let bake = if settings.bakes() > 1 { bake::thinned } else { bake::denoised };
-    let irradiance = outside(bake(backend, &atlas, gather, checkpoints, progress)?, &atlas);
+    let irradiance = outside(bake(backend, &atlas, gather, checkpoints, progress)?, &atlas)?;
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
@@ -212,7 +212,7 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
 
 /// Irradiance of an atlas. What texels inside other geometry gather is no light of the room: they have none, but for
 /// the rim, which takes what is lit beside it.
-fn outside(mut baked: Baked, atlas: &Atlas) -> Rgb {
+fn outside(mut baked: Baked, atlas: &Atlas) -> Result<Rgb> {
     baked.irradiance.iter_mut().zip(&baked.buried).filter(|(_, inside)| **inside).for_each(|(e, _)| *e = [0.0; 3]);
     baked.map(atlas, bake::Buried::Fill)
 }
@@ -291,7 +291,7 @@ mod tests {
             standard_error: None,
             rays: 0,
         };
-        let map = outside(baked, atlas);
+        let map = outside(baked, atlas).unwrap();
         assert!(map.data.iter().flatten().all(|e| *e <= 1.0), "nonsense is left");
         let beside = lit_square::SIDE / 2 - 1;
         assert_eq!(map.data[3 * lit_square::SIDE + beside], [1.0; 3], "the rim takes what is lit beside it");

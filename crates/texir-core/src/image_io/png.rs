@@ -58,8 +58,9 @@ pub(super) fn read_indices(path: &Path) -> Result<Labels> {
 }
 
 /// Encodes 8-bit RGB, values as they are, into `sink`.
-pub fn encode_png(image: &Raster<[u8; 3]>, sink: impl Write) -> image::ImageResult<()> {
+pub fn encode_png(image: &Raster<[u8; 3]>, sink: impl Write) -> Result<()> {
     encode(sink, image.size(), bytemuck::cast_slice(&image.data), ExtendedColorType::Rgb8)
+        .map_err(|e| Error::invalid(format!("an image cannot be encoded as PNG: {e}")))
 }
 
 /// Writes 8-bit RGB, values as they are: encode with [`super::encode_srgb`] first where a display is meant.

@@ -67,7 +67,7 @@ pub(crate) struct Finder<'a> {
 impl<'a> Finder<'a> {
     /// Of the lights in `radiance`, a map of which `texels` are valid.
     pub fn new(scene: &'a Scene, radiance: &'a Rgb, texels: usize) -> Self {
-        let sums = vec![(0.0, 0); scene.mesh.triangles.len()];
+        let sums = vec![(0.0, 0); scene.mesh().triangles.len()];
         Self { scene, radiance, sums, chosen: Vec::new(), every: texels.div_ceil(CHOSEN).max(1), taken: 0 }
     }
 
@@ -103,7 +103,7 @@ impl<'a> Finder<'a> {
     /// See [`Lights::find`].
     pub fn find(self) -> Lights {
         let mut luminance = self.mean_luminance();
-        let mesh = &self.scene.mesh;
+        let mesh = self.scene.mesh();
         let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
         let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();
         let total: f64 = luminance.iter().zip(&area).map(|(&l, &a)| f64::from(l * a)).sum();
@@ -115,7 +115,7 @@ impl<'a> Finder<'a> {
     /// Mean luminance of each triangle's texels; of a triangle smaller than a texel, what a ray that hits it would see.
     fn mean_luminance(&self) -> Vec<f32> {
         let centre = |t: u32| {
-            let [a, b, c] = self.scene.mesh.corner_uvs(t);
+            let [a, b, c] = self.scene.mesh().corner_uvs(t);
             luminance(&self.radiance.data[self.radiance.nearest((a + b + c) / 3.0)])
         };
         let mean = |(t, &(sum, count)): (u32, &(f64, u32))| {

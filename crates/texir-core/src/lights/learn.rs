@@ -62,7 +62,7 @@ pub fn learn(mut lights: Lights, scene: &Scene, points: &[SurfacePoint]) -> Ligh
 
 /// A grid around the points.
 fn grid(scene: &Scene, points: &[SurfacePoint]) -> LightGrid {
-    let area: f32 = (0..scene.mesh.triangles.len() as u32).map(|t| scene.mesh.area(t)).sum();
+    let area: f32 = (0..scene.mesh().triangles.len() as u32).map(|t| scene.mesh().area(t)).sum();
     let (low, high) = bounds(points.iter().map(|p| Vec3::from(p.position)));
     let size = |edge: f32| ((high - low) / edge).floor() + 1.0;
     let cells = CELLS.min(points.len() as f32 / TEXELS);
@@ -84,7 +84,7 @@ fn contribution<'a>(
     seed: u32,
     point: impl Fn(u32) -> &'a SurfacePoint,
 ) -> f32 {
-    let mesh = &scene.mesh;
+    let mesh = scene.mesh();
     let nearest = (NEAREST / lights.grid.per_metre).powi(2);
     let (mut seen, mut open) = (0.0f32, 0.0f32);
     for i in 0..RAYS {

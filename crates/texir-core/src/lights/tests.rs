@@ -105,14 +105,14 @@ fn a_rectangle_shines_as_its_form_factor_says() {
         backend.set_tbl(&radiance, &lights).unwrap();
         let (mean, deviation) = gathered(&mut backend, &point, 4, 12);
         assert!((mean / expected - 1.0).abs() < 5e-3, "{mean} for {expected}");
-        backend.set_tbl(&radiance, &Lights { grid: Lights::none(&scene.mesh).grid, ..lights.clone() }).unwrap();
+        backend.set_tbl(&radiance, &Lights { grid: Lights::none(scene.mesh()).grid, ..lights.clone() }).unwrap();
         let (mean, by_power) = gathered(&mut backend, &point, 4, 12);
         assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by power");
         assert!(deviation < 0.6 * by_power, "{deviation} with tables, {by_power} by power");
     }
     // Tables that all but rule out the lamp of this room change the noise, not the mean.
     let clusters = lights.clusters.len() - 1;
-    let lamp = |c: usize| scene.mesh.centre(lights.triangle(c, 0.0).0).x < 2.0;
+    let lamp = |c: usize| scene.mesh().centre(lights.triangle(c, 0.0).0).x < 2.0;
     let unwise: Vec<f32> = (0..clusters).map(|c| if lamp(c) { 1e-3 } else { 1.0 }).collect();
     let unwise = cumulative(&unwise).repeat(lights.tables.len() / clusters);
     lights.tables = unwise;
@@ -136,7 +136,7 @@ fn a_room_is_lit_by_its_own_lamp() {
     let share = |point: SurfacePoint, left: bool| -> f32 {
         let table = lights.table(point.position.into(), point.normal.into());
         let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
-        let here = |c: &usize| (scene.mesh.centre(lights.triangle(*c, 0.0).0).x < 2.0) == left;
+        let here = |c: &usize| (scene.mesh().centre(lights.triangle(*c, 0.0).0).x < 2.0) == left;
         (0..table.len()).filter(here).map(of).sum()
     };
     assert!(share(on_floor(1.0, 1.0), true) > 0.85);
@@ -153,10 +153,10 @@ fn every_table_is_a_density() {
     assert!(lights.tables.len() > 10 * clusters);
     for table in lights.tables.chunks(clusters) {
         let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
-        let total: f32 = (0..scene.mesh.triangles.len() as u32)
+        let total: f32 = (0..scene.mesh().triangles.len() as u32)
             .map(|t| (t, lights.density[t as usize]))
             .filter(|(_, density)| density.per_area > 0.0)
-            .map(|(t, density)| of(density.cluster as usize) * density.per_area * scene.mesh.area(t))
+            .map(|(t, density)| of(density.cluster as usize) * density.per_area * scene.mesh().area(t))
             .sum();
         assert!((total - 1.0).abs() < 1e-5, "{total}");
     }
@@ -191,7 +191,7 @@ fn clusters_hold_every_light_once_and_face_one_way() {
 fn nothing_that_shines_is_no_light() {
     let (scene, _) = two_rooms();
     let dark = Lights::find(&scene, &atlas(&scene), &Rgb::filled(SIDE, SIDE, [1.0; 3])).unwrap();
-    assert_eq!(dark, Lights::none(&scene.mesh));
-    let unusable = Lights::by_power(&scene.mesh, &vec![f32::NAN; scene.mesh.triangles.len()]);
+    assert_eq!(dark, Lights::none(scene.mesh()));
+    let unusable = Lights::by_power(scene.mesh(), &vec![f32::NAN; scene.mesh().triangles.len()]);
     assert!(unusable.is_empty());
 }

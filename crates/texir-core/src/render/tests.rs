@@ -72,7 +72,7 @@ fn shaded(backend: &mut CpuBackend, radiance: &Rgb, material: Material) -> Rgb {
     let fine = camera().supersampled(SUB_PIXELS);
     let hits = backend.primary(&fine, fine.rows()).unwrap();
     let seen: Vec<u32> = (0..fine.pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-    let point = |&i: &u32| ShadePoint::new(&scene.mesh, &fine, i, &hits[i as usize], [IRRADIANCE; 3]);
+    let point = |&i: &u32| ShadePoint::new(scene.mesh(), &fine, i, &hits[i as usize], [IRRADIANCE; 3]);
     let points: Vec<ShadePoint> = seen.iter().map(point).collect();
     let materials = vec![material; points.len()];
     let sampling = Sampling { samples: 1024, seed: 5 };
@@ -144,7 +144,7 @@ fn mipmapped_textures_are_looked_up_as_by_a_backend() {
     let [pyramid, finer] = [(16, 8), (32, 16)].map(|size| renderer.pyramid(size).unwrap());
     let hits = backend.primary(&camera(), camera().rows()).unwrap();
     let seen: Vec<u32> = (0..camera().pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-    let rows = |of| Rows::of_pixels(of, &scene.mesh, &camera(), 1, |i| hits[i], &seen);
+    let rows = |of| Rows::of_pixels(of, scene.mesh(), &camera(), 1, |i| hits[i], &seen);
     // Coarse levels are seen.
     assert!(rows(&pyramid).taps.iter().any(|tap| tap.texel >= 128 + 32));
     let mut look_up = |of, texture: &[f32], channels| backend.lookup(of, texture, channels, &rows(of)).unwrap();
@@ -153,12 +153,12 @@ fn mipmapped_textures_are_looked_up_as_by_a_backend() {
     let roughness = look_up(&finer, &textures.roughness.data, 1);
     for (k, &i) in seen.iter().enumerate() {
         let (x, y) = (i as usize % 16, i as usize / 16);
-        let seen = mipmapped.at(&Footprint::area(&scene.mesh, &camera(), &hits[i as usize], x, y));
+        let seen = mipmapped.at(&Footprint::area(scene.mesh(), &camera(), &hits[i as usize], x, y));
         let expected = [&albedo[3 * k..][..3], &irradiance[3 * k..][..3], &roughness[k..][..1]].concat();
         let found = [&seen.albedo[..], &seen.irradiance, &[seen.roughness]].concat();
         assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-5), "{found:?} {expected:?}");
         // Lamps do not shine from coarse levels into what is beside them.
-        let texels = pyramid.bilinear(0, hits[i as usize].uv(&scene.mesh));
+        let texels = pyramid.bilinear(0, hits[i as usize].uv(scene.mesh()));
         let emission =
             |c: usize| texels.iter().map(|t| t.weight * textures.emission.data[t.texel as usize][c]).sum::<f32>();
         assert!((0..3).all(|c| (seen.emission[c] - emission(c)).abs() < 1e-5));

@@ -7,6 +7,7 @@ mod wide;
 use std::sync::OnceLock;
 
 use glam::Vec3;
+pub use hierarchy::MOST_LEVELS;
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 
@@ -28,12 +29,10 @@ const TRIANGLE: u64 = 270;
 /// Bytes of a vertex: position, normal, coordinates.
 const VERTEX: u64 = 32;
 
-/// A mesh and its obvhs CWBVH (8-wide, compressed).
+/// A mesh and its obvhs CWBVH (8-wide, compressed). Neither changes once it is made.
 pub struct Scene {
-    /// The mesh, in world space.
-    pub mesh: Mesh,
-    /// The hierarchy; its primitive ids index [`CwBvh::primitive_indices`], which index `mesh.triangles`.
-    pub bvh: CwBvh,
+    mesh: Mesh,
+    bvh: CwBvh,
     /// What rays on the host go through: made when the first one does.
     wide: OnceLock<WideBvh>,
 }
@@ -71,6 +70,22 @@ impl Scene {
             .collect();
         let bvh = hierarchy::build(triangles);
         Ok(Self { mesh, bvh, wide: OnceLock::new() })
+    }
+
+    /// The mesh, in world space.
+    pub fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// The nodes of the hierarchy, 80 bytes each, as obvhs lays them out; their primitive ids index
+    /// [`Scene::primitives`].
+    pub fn nodes(&self) -> &[u8] {
+        bytemuck::cast_slice(&self.bvh.nodes)
+    }
+
+    /// The triangle of the mesh that each primitive of the hierarchy is, or is a part of.
+    pub fn primitives(&self) -> &[u32] {
+        &self.bvh.primitive_indices
     }
 
     /// [`Trace::closest`] nearer than `length`.

@@ -338,8 +338,8 @@ mod tests {
     #[test]
     fn every_node_test_finds_what_an_exhaustive_search_finds() {
         let scene = scene();
-        let exact = Exhaustive(&scene.mesh);
-        let wide = WideBvh::new(&scene.bvh, &scene.mesh);
+        let exact = Exhaustive(scene.mesh());
+        let wide = WideBvh::new(&scene.bvh, scene.mesh());
         let mut hits = 0;
         for (origin, direction) in rays() {
             let expected = Trace::<f32>::closest(&exact, origin, direction);
@@ -385,7 +385,7 @@ mod tests {
     #[test]
     fn rays_that_are_not_numbers_hit_nothing() {
         let scene = scene();
-        let wide = WideBvh::new(&scene.bvh, &scene.mesh);
+        let wide = WideBvh::new(&scene.bvh, scene.mesh());
         let (numbers, nan) = (V3([0.5, 0.5, 0.5]), f32::NAN);
         for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([nan, 0.5, 0.5])] {
             for (origin, direction) in [(numbers, none), (none, numbers), (none, none)] {
@@ -416,7 +416,7 @@ mod tests {
                 + Vec3::new(7.0, -3.0, 5.0);
             let to = place((0.99 * unit(3), 0.99 * unit(4)));
             let (origin, direction) = (V3(from.to_array()), V3((to - from).normalize().to_array()));
-            let exhaustive = Trace::<f32>::closest(&Exhaustive(&scene.mesh), origin, direction).unwrap();
+            let exhaustive = Trace::<f32>::closest(&Exhaustive(scene.mesh()), origin, direction).unwrap();
             let hit = scene.closest(origin, direction).unwrap();
             assert!(!hit.back && !exhaustive.back, "ray {i} from {from} to {to}");
             crossed[(i % 2) as usize] += u32::from(hit.triangle < 2);

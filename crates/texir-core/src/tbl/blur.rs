@@ -137,7 +137,7 @@ impl<'a> Points<'a> {
         let hits = std::array::from_fn(|k| &self.hits[self.fine.sub_pixel(AXIS, pixel, k)]);
         hits.iter()
             .all(|hit: &&Hit| hit.is_hit())
-            .then(|| hits.map(|hit| SurfacePoint::new(&self.scene.mesh, hit, None)))
+            .then(|| hits.map(|hit| SurfacePoint::new(self.scene.mesh(), hit, None)))
     }
 
     /// Compares `image`, which the view shows, with a view that is nearer to some of it.

@@ -62,7 +62,7 @@ pub(super) fn solve_photos(
         let projected = backend.project(&atlas.points, camera)?;
         let sampler = Sampler::new(backend, camera, &photo, &options)?;
         texels.par_iter_mut().zip(&atlas.points).zip(&projected).for_each(|((texel, point), at)| {
-            let seen = sampler.observe(point, at, atlas.texel_area(&scene.mesh, point.triangle));
+            let seen = sampler.observe(point, at, atlas.texel_area(scene.mesh(), point.triangle));
             if let Some(seen) = seen.filter(|seen| !seen.masked && seen.radiance.iter().all(|r| *r > DARK)) {
                 texel.push(Sighting { view, log: seen.radiance.map(|r| f64::from(r).ln()) });
             }

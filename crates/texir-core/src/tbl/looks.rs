@@ -61,7 +61,7 @@ impl Looks {
             let mut asked: HashMap<usize, u8> = HashMap::new();
             for (at, point) in backend.project(&points, camera)?.iter().zip(&points).filter(|(at, _)| at.distance > 0.0)
             {
-                let area = atlas.texel_area(&scene.mesh, point.triangle);
+                let area = atlas.texel_area(scene.mesh(), point.triangle);
                 let texels = at.distance / (area * at.cosine * pixels_per_steradian(camera)).sqrt();
                 let needed = (RAYS_PER_TEXEL * texels).ceil().clamp(RAYS.0, RAYS.1) as u8;
                 for pixel in around(camera, at.pixel) {
@@ -113,7 +113,7 @@ fn shares(fusion: &Fusion<'_>, view: usize, index: &TexelIndex, pixel: usize, ra
         if hit.back {
             return Vec::new();
         }
-        taps.extend(index.nearest(Hit::from(hit).uv(&scene.mesh)).map(|texel| Tap { texel, weight }));
+        taps.extend(index.nearest(Hit::from(hit).uv(scene.mesh())).map(|texel| Tap { texel, weight }));
     }
     let shown = taps.len() as f32 * weight;
     merge(&mut taps);

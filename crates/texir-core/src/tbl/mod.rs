@@ -207,7 +207,7 @@ impl Fusion<'_> {
         given: Option<&Tbl>,
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
-        let joined = Joined::new(&scene.mesh);
+        let joined = Joined::new(scene.mesh());
         let Separated { limit, dark, shown } = self.separate_sources(backend, load, &joined, &mut radiance)?;
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         for (radiance, &t) in radiance.iter_mut().zip(&atlas.texels).filter(|(radiance, _)| radiance.is_none()) {
@@ -215,12 +215,12 @@ impl Fusion<'_> {
             *radiance =
                 filled.map(|tbl| tbl.radiance.data[t as usize]).filter(|&value| mean_of_channels(value) <= limit);
         }
-        let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(&scene.mesh));
+        let mut radiance = inpaint::fill(&atlas.points, &radiance, atlas.typical_texel(scene.mesh()));
         let mut known = seen.clone();
         dark.into_iter().for_each(|texel| known[texel] = true);
         let shines = |value: [f32; 3]| mean_of_channels(value) > limit;
         let dark: Vec<[f32; 3]> = radiance.iter().map(|&value| if shines(value) { [0.0; 3] } else { value }).collect();
-        unseen::shine(&scene.mesh, &joined, atlas, limit, &known, &mut radiance);
+        unseen::shine(scene.mesh(), &joined, atlas, limit, &known, &mut radiance);
         let known = Known { limit, shown: &shown, seen: &seen, dark: &dark };
         witnesses::dim(self, backend, &joined, &known, &mut radiance)?;
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
@@ -249,7 +249,7 @@ impl Fusion<'_> {
                 let projected = backend.project(points, camera)?;
                 let sampler = Sampler::new(backend, camera, &photo, options)?;
                 best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
-                    let area = atlas.texel_area(&scene.mesh, point.triangle);
+                    let area = atlas.texel_area(scene.mesh(), point.triangle);
                     if let Some(observation) = sampler.observe(point, at, area) {
                         best.add(observation);
                     }

@@ -30,7 +30,7 @@ impl<'a> Shown<'a> {
     /// Whether a pixel shows the surface of a point at this distance from the camera, metres: it lies no further from
     /// the point's plane than half a pixel is wide there.
     pub fn shows(&self, pixel: usize, point: &SurfacePoint, distance: f32) -> bool {
-        let (mesh, hit, normal) = (&self.scene.mesh, self.hits[pixel], Vec3::from(point.normal));
+        let (mesh, hit, normal) = (self.scene.mesh(), self.hits[pixel], Vec3::from(point.normal));
         let slack = 0.5 * distance / pixels_per_steradian(self.camera).sqrt();
         hit.is_hit()
             && (hit.interpolate(mesh.corners(hit.triangle)) - Vec3::from(point.position)).dot(normal).abs() <= slack

@@ -373,7 +373,7 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     let mut looks = looks::Looks::of(cameras.len());
     let at: Vec<usize> = (0..bright.len()).filter(|&t| bright[t]).collect();
     looks.add(&fusion, &mut backend, &mut load, &at).unwrap();
-    let once = sources::explained(&fusion, &looks, &blended, (&bright, &Joined::new(&scene.mesh)));
+    let once = sources::explained(&fusion, &looks, &blended, (&bright, &Joined::new(scene.mesh())));
     let mistaken = once.texels.iter().zip(&once.radiance).filter(|(t, r)| is_wall(**t as usize) && r.x > limit).count();
     assert!(mistaken > 5 && shining == 0, "{shining} texels of the wall shine, {mistaken} without reviews");
 }
@@ -387,15 +387,15 @@ fn a_source_shines_on_its_unseen_sides_and_no_further() {
     let seen: Vec<bool> = atlas.points.iter().map(|point| face(point) < 2).collect();
     let known = |point: &SurfacePoint| [[5.0; 3], [0.1; 3], [0.0; 3]][face(point).min(2) as usize];
     let mut radiance: Vec<_> = atlas.points.iter().map(known).collect();
-    unseen::shine(&scene.mesh, &Joined::new(&scene.mesh), &atlas, 1.0, &seen, &mut radiance);
+    unseen::shine(scene.mesh(), &Joined::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
     for (point, radiance) in atlas.points.iter().zip(&radiance).filter(|(point, _)| face(point) > 1) {
-        let at_floor = scene.mesh.corners(point.triangle).iter().filter(|corner| corner.z == 0.0).count() == 2;
+        let at_floor = scene.mesh().corners(point.triangle).iter().filter(|corner| corner.z == 0.0).count() == 2;
         assert_eq!((radiance[0] - 5.0).abs() < 0.01, at_floor, "triangle {}", point.triangle);
     }
     // A floor half of which is dark is no source.
     let mut radiance: Vec<_> = atlas.points.iter().map(known).collect();
     radiance.iter_mut().zip(&seen).step_by(2).filter(|(_, seen)| **seen).for_each(|(light, _)| *light = [0.1; 3]);
-    unseen::shine(&scene.mesh, &Joined::new(&scene.mesh), &atlas, 1.0, &seen, &mut radiance);
+    unseen::shine(scene.mesh(), &Joined::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
     assert!(atlas.points.iter().zip(&radiance).all(|(point, radiance)| face(point) < 2 || *radiance == [0.0; 3]));
 }
 
@@ -416,7 +416,7 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
     let strip = |point: &SurfacePoint| if point.position[0] > 0.18 { 2.0 } else { 10.0 };
     let mut radiance: Vec<_> =
         atlas.points.iter().zip(&seen).map(|(point, seen)| [if *seen { strip(point) } else { 0.0 }; 3]).collect();
-    unseen::shine(&scene.mesh, &Joined::new(&scene.mesh), &atlas, 1.0, &seen, &mut radiance);
+    unseen::shine(scene.mesh(), &Joined::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
     for (point, radiance) in atlas.points.iter().zip(&radiance) {
         match face(point) {
             0 => assert_eq!(radiance[0], strip(point)),

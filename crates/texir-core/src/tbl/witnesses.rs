@@ -141,7 +141,7 @@ fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(u
         shown: f32,
         triangles: BTreeSet<u32>,
     }
-    let (mesh, points) = (&fusion.scene.mesh, &fusion.atlas.points);
+    let (mesh, points) = (fusion.scene.mesh(), &fusion.atlas.points);
     let mut parts: BTreeMap<u32, Part> = BTreeMap::new();
     for (t, point) in points.iter().enumerate().filter(|(t, _)| shining(*t) > 0.0) {
         let part = parts.entry(joined.part(point.triangle)).or_default();
@@ -196,7 +196,7 @@ struct Place {
 /// borders of charts not all of them is on the mesh: a rim of a texel's width is taken to send more than it does, so
 /// that it must be the darker to be told from one that shines.
 fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[SurfacePoint]) -> Vec<f32> {
-    let mesh = &fusion.scene.mesh;
+    let mesh = fusion.scene.mesh();
     let every = side.texels.len().div_ceil(PLACES).max(1);
     let places: Vec<Place> = side
         .texels
@@ -350,7 +350,7 @@ mod tests {
         let shown: Vec<f32> = (0..radiance.len()).map(|t| if face(t) == TOP { shown } else { 10.0 }).collect();
         let seen: Vec<bool> = (0..radiance.len()).map(|t| face(t) != TOP).collect();
         let known = Known { limit: 5.0, shown: &shown, seen: &seen, dark: &vec![[0.2; 3]; radiance.len()] };
-        dim(&fusion, &mut backend, &Joined::new(&scene.mesh), &known, &mut radiance).unwrap();
+        dim(&fusion, &mut backend, &Joined::new(scene.mesh()), &known, &mut radiance).unwrap();
         let of_top: Vec<f32> = (0..radiance.len()).filter(|t| face(*t) == TOP).map(|t| radiance[t][0]).collect();
         let others = (6..TOP).all(|other| (0..radiance.len()).all(|t| face(t) != other || radiance[t] == [LAMP; 3]));
         assert!(others, "what views show of the lamp was dimmed");

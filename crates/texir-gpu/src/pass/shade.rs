@@ -101,7 +101,7 @@ pub(crate) fn run(
     shape: GatherShape,
     progress: &dyn Progress,
 ) -> Result<Vec<Shaded>> {
-    let kernel = ctx.kernel_with("shade", "shade", Some(("LANES", shape.lanes)), gradient.into())?;
+    let kernel = ctx.kernel_with("shade", "shade", Some(("LANES", shape.lanes)), gradient)?;
     let out = Vec::with_capacity(points.len());
     let mut pass = Shade { kernel, geometry, lighting, points, materials, sampling, shape, out };
     ctx.gather(points.len(), [sampling.samples], shape, progress, &mut pass)?;

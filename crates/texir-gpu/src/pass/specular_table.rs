@@ -16,7 +16,7 @@ use crate::kernel::Kernel;
 use crate::scene::{Geometry, Lighting};
 
 /// How samples are dealt to threads; the shader has the same number of lanes.
-const SHAPE: GatherShape = GatherShape { lanes: 8, rays: 32 };
+pub(crate) const SHAPE: GatherShape = GatherShape { lanes: 8, rays: 32 };
 
 /// Values of the shader's constant `TECHNIQUE`: lobes, cosine, lights.
 const TECHNIQUES: [u32; 3] = [0, 1, 2];

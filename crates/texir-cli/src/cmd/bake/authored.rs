@@ -15,6 +15,7 @@ use texir_core::progress::Progress;
 use texir_core::scene::Scene;
 
 use super::Bake;
+use crate::args::not_negative;
 use crate::checks::check_outputs;
 use crate::device;
 use crate::failure::{Context, Failure};
@@ -35,10 +36,10 @@ pub struct Authored {
     #[arg(long, value_name = "FILE")]
     environment: Option<PathBuf>,
     /// Luminance that 1 in the environment stands for, nits
-    #[arg(long, value_name = "NITS", default_value_t = 1.0, requires = "environment")]
+    #[arg(long, value_name = "NITS", default_value_t = 1.0, requires = "environment", value_parser = not_negative)]
     environment_nits: f32,
     /// Stop when further bounces would add less than this share of all light [default: 0.005]
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", value_parser = not_negative)]
     tolerance: Option<f32>,
     /// Stop after N bounces even so; 0 bakes direct light alone [default: 64]
     #[arg(long, value_name = "N")]
@@ -92,11 +93,6 @@ struct Summary {
 pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Failure> {
     let options = &bake.authored;
     let tolerance = options.tolerance.unwrap_or(TOLERANCE);
-    for (option, value) in [("--tolerance", tolerance), ("--environment-nits", options.environment_nits)] {
-        if !(value >= 0.0 && value.is_finite()) {
-            return Err(Failure::new(format!("{option} is {value}; expected a number of at least 0")));
-        }
-    }
     let glb = bake.output.with_extension("glb");
     check_outputs(&[&glb], read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
@@ -114,7 +110,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let prepared = prepare(backend.as_mut(), &model, environment, workspace, (bake, session));
     // Nothing is kept yet: a folder that is there for files without a name is empty.
     let (texels, surfaces) = prepared.inspect_err(|_| drop(std::fs::remove_dir(bake.partial())))?;
-    let bounces = Bounces { quality: bake.quality(session)?, tolerance, most: options.bounces.unwrap_or(BOUNCES) };
+    let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
     let solved = authored::irradiance(backend.as_mut(), &texels, &surfaces, &bounces, &checkpoints, session.console)

@@ -52,14 +52,14 @@ pub fn backs(scene: &Scene, atlas: &Atlas) -> Vec<[u32; 2]> {
     let index = TexelIndex::new(atlas);
     let front = |t: usize| {
         let SurfacePoint { position, triangle, normal, .. } = atlas.points[t];
-        let face = scene.mesh.face_normal(triangle);
+        let face = scene.mesh().face_normal(triangle);
         let inwards = if face.dot(normal.into()) > 0.0 { -face } else { face };
         // The point lies a step outside.
         let origin = offset_origin(position.into(), 2.0 * inwards);
         let hit = Trace::<f32>::closest(scene, V3::of(origin.to_array()), V3::of(inwards.to_array()))?;
-        let leaves = scene.mesh.face_normal(hit.triangle).dot(inwards) > PARALLEL;
+        let leaves = scene.mesh().face_normal(hit.triangle).dot(inwards) > PARALLEL;
         let hit = Hit { triangle: hit.triangle, u: hit.u, v: hit.v, t: hit.t };
-        index.nearest(hit.uv(&scene.mesh)).filter(|_| leaves && hit.t < THIN)
+        index.nearest(hit.uv(scene.mesh())).filter(|_| leaves && hit.t < THIN)
     };
     let of = |t: usize| Some([t as u32, front(t)?]);
     (0..atlas.points.len()).into_par_iter().filter_map(of).collect()

@@ -88,8 +88,8 @@ impl Labels {
         let scene = backend.scene();
         let surface = hidden::flat_surfaces(atlas, adjacency);
         let backs = hidden::backs(scene, atlas);
-        class.blur(&scene.mesh, atlas, adjacency);
-        room.blur(&scene.mesh, atlas, adjacency);
+        class.blur(scene.mesh(), atlas, adjacency);
+        room.blur(scene.mesh(), atlas, adjacency);
         class.share(&backs);
         let [class, room] = [class, room].map(|votes| votes.count(&surface));
         progress.finish();
@@ -348,7 +348,7 @@ mod tests {
     fn what_hardly_any_view_votes_for_is_left_open() {
         let scene = Arc::new(Scene::new(room()).unwrap());
         let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), 192, 128).unwrap();
-        let adjacency = Adjacency::new(&scene.mesh, &atlas);
+        let adjacency = Adjacency::new(scene.mesh(), &atlas);
         let islet = |t: usize| (Vec3::from(atlas.points[t].position) - Vec3::new(2.0, 1.5, 0.0)).length() < 0.4;
         let labels = |votes_on_islet: usize| {
             let mut votes = Votes::default();
@@ -357,7 +357,7 @@ mod tests {
                 let sees = |t: usize| (!islet(t) || view < votes_on_islet).then_some(Witness { pixel: t, weight: 1.0 });
                 votes.add(&all.map(sees).collect::<Vec<_>>(), |t| if islet(t) { 2 } else { 1 });
             }
-            votes.blur(&scene.mesh, &atlas, &adjacency);
+            votes.blur(scene.mesh(), &atlas, &adjacency);
             votes.count(&hidden::flat_surfaces(&atlas, &adjacency))
         };
         let middle = (0..atlas.points.len())
@@ -400,7 +400,7 @@ mod tests {
         let scene = Arc::new(Scene::new(room()).unwrap());
         let mut backend = CpuBackend::new(scene.clone());
         let atlas = Atlas::new(&mut backend, 192, 128).unwrap();
-        let adjacency = Adjacency::new(&scene.mesh, &atlas);
+        let adjacency = Adjacency::new(scene.mesh(), &atlas);
         let truth: Vec<u16> = atlas.points.iter().map(|p| class(p.triangle, p.position.into())).collect();
         let places = [[0.7, 0.6], [3.3, 0.7], [0.8, 2.4], [3.2, 2.3], [2.0, 1.5], [1.3, 1.6]];
         let views = places.map(|[x, y]| {
@@ -423,7 +423,7 @@ mod tests {
                 seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
                 votes.add(&witnesses, |pixel| labels.data[pixel]);
             }
-            votes.blur(&scene.mesh, &atlas, &adjacency);
+            votes.blur(scene.mesh(), &atlas, &adjacency);
             let fused = spread(votes.count(&hidden::flat_surfaces(&atlas, &adjacency)), &adjacency, |_| 0);
             let all = seen.iter().filter(|seen| **seen).count();
             let right = (0..truth.len()).filter(|&t| seen[t] && fused[t] == truth[t]).count();

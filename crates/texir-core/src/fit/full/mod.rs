@@ -97,7 +97,7 @@ pub fn fit(
         let observer = Observer { atlas, emitters, settings, seed, checkpoints };
         let seen = observer.observe(backend, training, progress)?;
         if round == 0 {
-            warnings::little_seen(atlas, &backend.scene().mesh, &seen.is_seen)
+            warnings::little_seen(atlas, backend.scene().mesh(), &seen.is_seen)
                 .into_iter()
                 .for_each(|what| progress.warn(&what));
         }
@@ -117,7 +117,7 @@ pub fn fit(
         let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
         backend.set_tbl(&sent, &Lights::find(backend.scene(), atlas, &sent)?)?;
         let baked = bake(backend, atlas, ground.gather, checkpoints, &again)?;
-        irradiance = of_texels(&outside(baked, atlas), atlas);
+        irradiance = of_texels(&outside(baked, atlas)?, atlas);
     }
 }
 

@@ -143,6 +143,14 @@ impl Observer<'_> {
         let mut all = Observations::default();
         for view in views {
             self.observe_one(backend, view, &index, &mut all, progress)?;
+            // Rows are told apart by offsets of 32 bits.
+            if u32::try_from(all.rows.taps.len()).is_err() {
+                return Err(Error::invalid(format!(
+                    "the views up to {:?} see texels more than 2³² times together: leave out views, or allow less memory, so that \
+                     they are read at a lower resolution",
+                    view.name
+                )));
+            }
         }
         progress.finish();
         if all.is_empty() {
@@ -318,7 +326,7 @@ impl Strata {
 
     /// Shares of the texels that a pixel shows; `None` where it shows none, or a light source even in part.
     fn texels(&self, pixel: usize, index: &TexelIndex, emitters: &Mask) -> Option<Vec<Share>> {
-        let mesh = &self.scene.mesh;
+        let mesh = self.scene.mesh();
         let seen = self.of(pixel).map(|s| &self.hits[s]);
         let lit = |hit: &Hit| hit.is_hit() && emitters.data[emitters.nearest(hit.uv(mesh))];
         if seen.iter().any(|hit| lit(hit)) {
@@ -336,7 +344,7 @@ impl Strata {
         let standing_in = strata.into_iter().find(|&s| self.hits[s].is_hit()).unwrap_or(strata[0]);
         strata.map(|s| {
             let s = if self.hits[s].is_hit() { s } else { standing_in };
-            ShadePoint::new(&self.scene.mesh, &self.fine, s as u32, &self.hits[s], [0.0; 3])
+            ShadePoint::new(self.scene.mesh(), &self.fine, s as u32, &self.hits[s], [0.0; 3])
         })
     }
 }
@@ -362,7 +370,7 @@ mod tests {
         };
         let texture = Rgb::filled(SIDE, SIDE, [0.3; 3]);
         let mut backend = square.backend();
-        backend.set_tbl(&texture, &Lights::none(&square.scene.mesh)).unwrap();
+        backend.set_tbl(&texture, &Lights::none(square.scene.mesh())).unwrap();
         let view = &square.views(&texture, (64, 32))[0];
         let mut observed = |view: &View| observer.observe(&mut backend, std::slice::from_ref(view), &Silent).unwrap();
         let all = observed(view);
@@ -397,7 +405,7 @@ mod tests {
             checkpoints: &Checkpoints::none(),
         };
         let mut backend = square.backend();
-        backend.set_tbl(&Rgb::filled(SIDE, SIDE, [0.3; 3]), &Lights::none(&square.scene.mesh)).unwrap();
+        backend.set_tbl(&Rgb::filled(SIDE, SIDE, [0.3; 3]), &Lights::none(square.scene.mesh())).unwrap();
         observer.observe(&mut backend, views, &Silent).unwrap()
     }
 
@@ -417,7 +425,7 @@ mod tests {
         let shows = |pixel: usize| {
             let within = |k: usize| {
                 let hit = &hits[fine.sub_pixel(AXIS, pixel, k)];
-                let at = || hit.uv(&square.scene.mesh) * SIDE as f32;
+                let at = || hit.uv(square.scene.mesh()) * SIDE as f32;
                 hit.is_hit() && [at().x as usize, at().y as usize] == [x, y]
             };
             (0..STRATA).map(within).filter(|lamp| *lamp).count()

@@ -120,7 +120,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     (seen.curves, seen.white_curves) = (tables(0.04), tables(1.0));
     seen.block = (0..strata.len() as u32).collect();
     seen.index(atlas.texels.len());
-    let adjacency = Adjacency::new(&scene.mesh, &atlas);
+    let adjacency = Adjacency::new(scene.mesh(), &atlas);
     Toy { seen, irradiance, adjacency, segment: on_floor.iter().map(|&f| u32::from(!f)).collect() }
 }
 

@@ -47,7 +47,7 @@ pub fn fit(
         footprint_samples: settings.footprint_samples,
     };
     let sources = Raster { data: emission(&ground.tbl.radiance, ground.emitters).collect(), ..ground.tbl.radiance };
-    backend.set_tbl(&sources, &Lights::none(&backend.scene().mesh))?;
+    backend.set_tbl(&sources, &Lights::none(backend.scene().mesh()))?;
     drop(sources);
     let views = surroundings.prepare(backend, training, progress)?;
     backend.set_tbl(&ground.tbl.radiance, ground.lights)?;

@@ -77,18 +77,18 @@ impl Surroundings<'_> {
         let used: Vec<u32> = (0..hits.len() as u32)
             .filter(|&i| {
                 let hit = &hits[i as usize];
-                hit.is_hit() && usable.data[i as usize] && !self.is_emitter(hit.uv(&scene.mesh))
+                hit.is_hit() && usable.data[i as usize] && !self.is_emitter(hit.uv(scene.mesh()))
             })
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
         let fine_hits = backend.primary(&fine, fine.rows())?;
-        let rows = Rows::of_pixels(self.pyramid, &scene.mesh, &fine, self.footprint_samples, |i| fine_hits[i], &used);
+        let rows = Rows::of_pixels(self.pyramid, scene.mesh(), &fine, self.footprint_samples, |i| fine_hits[i], &used);
         let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &rows)?;
         let points: Vec<ShadePoint> = used
             .iter()
             .zip(irradiance.as_chunks::<3>().0)
             .map(|(&pixel, &irradiance)| {
-                ShadePoint::new(&scene.mesh, &view.camera, pixel, &hits[pixel as usize], irradiance)
+                ShadePoint::new(scene.mesh(), &view.camera, pixel, &hits[pixel as usize], irradiance)
             })
             .collect();
         let highlights = self.highlights(backend, &points, &view.name, progress)?;

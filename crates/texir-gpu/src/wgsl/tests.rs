@@ -1,9 +1,8 @@
 //! Every shader composes and validates; what is wrong is reported with its file and line.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use texir_gpu::wgsl::{Library, RoughnessVariant, SHADERS, Variant};
+use super::*;
 
-const VARIANT: Variant = Variant { fetch_texture: false, roughness: RoughnessVariant::Exact };
+const VARIANT: Variant = Variant { hierarchy: Hierarchy::Buffers, roughness: RoughnessGradient::Exact };
 
 fn message(sources: &[(&str, &str)]) -> String {
     match Library(sources).compose("pass", VARIANT) {
@@ -53,7 +52,7 @@ fn every_entry_point_composes_and_validates() {
 
 #[test]
 fn every_shader_on_disk_is_embedded() {
-    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shaders");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shaders");
     for (folder, prefix) in [(root.clone(), ""), (root.join("shared"), "shared/")] {
         for entry in std::fs::read_dir(&folder).unwrap() {
             let path = entry.unwrap().path();
@@ -67,11 +66,10 @@ fn every_shader_on_disk_is_embedded() {
 
 #[test]
 fn variants_change_the_source() {
-    let source =
-        |fetch_texture, roughness| SHADERS.compose("shade", Variant { fetch_texture, roughness }).unwrap().source;
-    let base = source(false, RoughnessVariant::Exact);
-    assert_ne!(base, source(true, RoughnessVariant::Exact));
-    assert_ne!(base, source(false, RoughnessVariant::Authors));
+    let source = |hierarchy, roughness| SHADERS.compose("shade", Variant { hierarchy, roughness }).unwrap().source;
+    let base = source(Hierarchy::Buffers, RoughnessGradient::Exact);
+    assert_ne!(base, source(Hierarchy::Textures, RoughnessGradient::Exact));
+    assert_ne!(base, source(Hierarchy::Buffers, RoughnessGradient::Authors));
 }
 
 #[test]
