@@ -397,7 +397,7 @@ fn a_point_light_above_a_plane_follows_the_square_law() {
         document.light(json!({ "type": "directional", "intensity": 3.0 }), Mat4::from_rotation_x(turn));
         let light = load(&document, 8).lights[0];
         assert_eq!(light.direction[1] < -0.99, lit, "{light:?}");
-        assert_eq!((light.distant, light.intensity), (1, [3.0; 3]));
+        assert_eq!((light.distant, light.intensity), (true, [3.0; 3]));
     }
 }
 

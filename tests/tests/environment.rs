@@ -153,11 +153,8 @@ fn a_mirror_shows_the_sky() {
             position: p.position,
             sequence: 0,
             normal: p.normal,
-            pad0: 0.0,
             view: p.normal,
-            pad1: 0.0,
             irradiance: [0.0; 3],
-            pad2: 0.0,
         })
         .collect();
     let mirrors = vec![Material { metallic: 1.0, ..Material::dielectric([1.0; 3], 0.01) }; pixels.len()];

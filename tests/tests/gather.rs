@@ -75,11 +75,8 @@ fn shading(points: &[SurfacePoint]) -> (Vec<ShadePoint>, Vec<Material>) {
             position: p.position,
             sequence: i as u32,
             normal: p.normal,
-            pad0: 0.0,
             view: view.to_array(),
-            pad1: 0.0,
             irradiance: [1.0, 2.0, 3.0],
-            pad2: 0.0,
         };
         (point, Material::dielectric([0.5, 0.4, 0.3], 0.05 + 0.1 * (i % 9) as f32))
     };
@@ -417,7 +414,7 @@ fn walls_that_are_there_from_both_sides_take_no_light() {
     let gathered = |backend: &mut dyn Backend| {
         // Backs are black, as in scenes that somebody made.
         let mut lights = Lights::none(backend.scene().mesh());
-        lights.density.iter_mut().for_each(|density| density.front_only = 1);
+        lights.density.iter_mut().for_each(|density| density.front_only = true);
         backend.set_tbl(&scenes::smooth_light(192), &lights).unwrap();
         flat(&backend.irradiance(&points, Gather::new(128, 0, 5), &Silent).unwrap())
     };

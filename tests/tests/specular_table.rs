@@ -58,11 +58,8 @@ fn floor_pixel(view: Vec3, sequence: u32) -> [ShadePoint; STRATA] {
         position: [0.003 * (stratum % 2) as f32, 0.003 * (stratum / 2) as f32, 1e-4],
         sequence: sequence + stratum as u32,
         normal: [0.0, 0.0, 1.0],
-        pad0: 0.0,
         view: view.normalize().to_array(),
-        pad1: 0.0,
         irradiance: [0.0; 3],
-        pad2: 0.0,
     })
 }
 

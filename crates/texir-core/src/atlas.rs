@@ -11,7 +11,7 @@ use crate::backend::Backend;
 use crate::error::{Error, Result};
 use crate::mesh::{Mesh, cross};
 use crate::raster::Raster;
-use crate::surface::{Hit, SurfacePoint};
+use crate::surface::{Hit, SurfacePoint, TexelHit};
 use crate::texture::{Pyramid, Tap};
 
 /// How far a texel that its triangle only touches moves from the triangle's edge towards its middle: on the edge
@@ -118,13 +118,13 @@ pub(crate) fn map(
     for rows in mapped_bands(scene.mesh(), [width, height]) {
         let hits = backend.texels([width, height], rows.clone())?;
         let first = rows.start * width;
-        let covered = || hits.iter().zip(first..).filter(|(hit, _)| hit.is_hit());
-        let point = |(hit, i): (&Hit, usize)| SurfacePoint {
+        let covered = || hits.iter().zip(first..).filter_map(|(hit, i)| Some((hit.as_ref()?, i)));
+        let point = |(hit, i): (&TexelHit, usize)| SurfacePoint {
             sequence: i as u32,
             ..SurfacePoint::new(scene.mesh(), &off_edge(hit), None)
         };
         any |= covered().next().is_some();
-        take(rows, covered().map(point).collect(), covered().map(|(hit, _)| hit.t > 0.0).collect())?;
+        take(rows, covered().map(point).collect(), covered().map(|(hit, _)| hit.inside).collect())?;
     }
     if any {
         return Ok(());
@@ -216,12 +216,13 @@ pub(crate) fn pad<T: Copy>(raster: &mut Raster<T>, filled: &mut [bool], rings: u
 }
 
 /// See [`OFF_EDGE`].
-fn off_edge(hit: &Hit) -> Hit {
-    if hit.t > 0.0 {
-        return *hit;
+fn off_edge(texel: &TexelHit) -> Hit {
+    let hit = texel.hit();
+    if texel.inside {
+        return hit;
     }
     let inwards = |v: f32| v + (1.0 / 3.0 - v) * OFF_EDGE;
-    Hit { u: inwards(hit.u), v: inwards(hit.v), ..*hit }
+    Hit { u: inwards(hit.u), v: inwards(hit.v), ..hit }
 }
 
 /// Finds the valid texels at atlas positions, by their index in [`Atlas::texels`].

@@ -24,7 +24,7 @@ use crate::raster::Rgb;
 use crate::rng::{Z_SIDE, along_z_curve, hash2};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
-use crate::surface::{Hit, SurfacePoint};
+use crate::surface::{Hit, SurfacePoint, TexelHit};
 use crate::texture::{Footprints, Pyramid, Rows};
 
 /// How many samples to draw, and from which stream.
@@ -144,8 +144,7 @@ pub enum RoughnessGradient {
 }
 
 /// What shading needs to know of a pixel, apart from its material.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShadePoint {
     /// Ray origin, off the surface (see [`SurfacePoint`]).
     pub position: [f32; 3],
@@ -153,16 +152,10 @@ pub struct ShadePoint {
     pub sequence: u32,
     /// Unit shading normal, on the camera's side.
     pub normal: [f32; 3],
-    /// Keeps the WGSL layout.
-    pub pad0: f32,
     /// Unit direction to the camera.
     pub view: [f32; 3],
-    /// Keeps the WGSL layout.
-    pub pad1: f32,
     /// Irradiance E, cosine included, not divided by π.
     pub irradiance: [f32; 3],
-    /// Keeps the WGSL layout.
-    pub pad2: f32,
 }
 
 impl ShadePoint {
@@ -176,11 +169,8 @@ impl ShadePoint {
             position: surface.position,
             sequence: pixel,
             normal: surface.normal,
-            pad0: 0.0,
             view: to_camera.to_array(),
-            pad1: 0.0,
             irradiance,
-            pad2: 0.0,
         }
     }
 
@@ -196,8 +186,7 @@ impl ShadePoint {
 }
 
 /// The BRDF's parameters at one point.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Linear RGB in [0, 1].
     pub albedo: [f32; 3],
@@ -205,38 +194,28 @@ pub struct Material {
     pub roughness: f32,
     /// 0 dielectric, 1 metal.
     pub metallic: f32,
-    /// Keeps the WGSL layout.
-    pub pad: [f32; 3],
 }
 
 impl Material {
     /// A dielectric.
     pub fn dielectric(albedo: [f32; 3], roughness: f32) -> Self {
-        Self { albedo, roughness, metallic: 0.0, pad: [0.0; 3] }
+        Self { albedo, roughness, metallic: 0.0 }
     }
 }
 
 /// Outgoing radiance of a pixel with what its adjoint needs, so that the backward pass traces no ray.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaded {
     /// L_o = a(1−m)E/π + F0⊙A + B.
     pub radiance: [f32; 3],
-    /// Keeps the WGSL layout.
-    pub pad0: f32,
     /// A = Σ w_s L_s (1−x_s) = ∂L_o/∂F0.
     pub specular_scale: [f32; 3],
-    /// Keeps the WGSL layout.
-    pub pad1: f32,
     /// ∂L_o/∂r.
     pub d_roughness: [f32; 3],
-    /// Keeps the WGSL layout.
-    pub pad2: f32,
 }
 
 /// Cotangents of a [`Material`]: ∂Loss/∂(each parameter).
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MaterialGrad {
     /// ∂Loss/∂albedo.
     pub albedo: [f32; 3],
@@ -244,8 +223,6 @@ pub struct MaterialGrad {
     pub roughness: f32,
     /// ∂Loss/∂metallic.
     pub metallic: f32,
-    /// Keeps the WGSL layout.
-    pub pad: [f32; 3],
 }
 
 /// Where a surface point falls in a view: the result of the projection pass of the TBL.
@@ -315,7 +292,7 @@ pub trait Backend {
     /// A texel whose centre lies in a triangle takes that point (the lowest triangle index where charts overlap); a
     /// texel that a triangle only touches takes the nearest point of the nearest such triangle (conservative at chart
     /// borders).
-    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>>;
+    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Option<TexelHit>>>;
 
     /// Irradiance gather at every point: cosine-distributed samples and samples of lights and bright sky, combined by
     /// the balance heuristic; unbiased for any split. The backs of lights are black. Advances `progress` by the rays

@@ -3,20 +3,18 @@
 //! They are deltas: no ray meets them, so that their irradiance is computed apart from the gather
 //! ([`crate::backend::Backend::punctual`]), with one shadow ray per point and light.
 
-use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use crate::error::{Error, Result};
 
 /// One punctual light. Intensity is per channel in the unit of radiance × m² (candela where radiance is in nits): an
 /// unoccluded surface that faces the light at distance d receives E = intensity / d².
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PunctualLight {
     /// Where it is, world space, metres; of no meaning for a distant light.
     pub position: [f32; 3],
-    /// 1: infinitely far away, E = intensity wherever a surface faces it. 0: at `position`.
-    pub distant: u32,
+    /// Infinitely far away: E = intensity wherever a surface faces it. Otherwise it is at `position`.
+    pub distant: bool,
     /// Unit direction in which it shines (spots and distant lights).
     pub direction: [f32; 3],
     /// 1 / range, beyond which there is no light; 0: unlimited.
@@ -27,14 +25,12 @@ pub struct PunctualLight {
     pub cone_scale: f32,
     /// See `cone_scale`; scale 0 and offset 1 shine in every direction.
     pub cone_offset: f32,
-    /// Keeps the WGSL layout.
-    pub pad: [f32; 3],
 }
 
 impl PunctualLight {
     /// A light at a point that shines in every direction.
     pub fn point(position: [f32; 3], intensity: [f32; 3]) -> Self {
-        Self { position, intensity, cone_offset: 1.0, ..Self::zeroed() }
+        Self { position, intensity, cone_offset: 1.0, ..Self::default() }
     }
 
     /// A light at a point, full within the `inner` angle of its direction, none beyond the `outer` one (radians, inner
@@ -42,13 +38,13 @@ impl PunctualLight {
     pub fn spot(position: [f32; 3], direction: [f32; 3], intensity: [f32; 3], [inner, outer]: [f32; 2]) -> Self {
         let cone_scale = 1.0 / (inner.cos() - outer.cos()).max(0.001);
         let cone_offset = -outer.cos() * cone_scale;
-        Self { position, direction, intensity, cone_scale, cone_offset, ..Self::zeroed() }
+        Self { position, direction, intensity, cone_scale, cone_offset, ..Self::default() }
     }
 
     /// A light from infinitely far away that shines along `direction`; `irradiance` is what a surface that faces it
     /// receives.
     pub fn distant(direction: [f32; 3], irradiance: [f32; 3]) -> Self {
-        Self { direction, distant: 1, intensity: irradiance, cone_offset: 1.0, ..Self::zeroed() }
+        Self { direction, distant: true, intensity: irradiance, cone_offset: 1.0, ..Self::default() }
     }
 
     /// The same light with a range, metres: × clamp(1 − (d/range)⁴, 0, 1), as the extension recommends.
@@ -62,16 +58,16 @@ impl PunctualLight {
         let vectors = [self.position, self.direction, self.intensity];
         let numbers = [self.inverse_range, self.cone_scale, self.cone_offset];
         let finite = vectors.iter().flatten().chain(&numbers).all(|v| v.is_finite());
-        let aims = self.distant != 0 || self.cone_scale != 0.0;
+        let aims = self.distant || self.cone_scale != 0.0;
         let unit = !aims || (Vec3::from(self.direction).length() - 1.0).abs() < 1e-3;
         let positive = self.intensity.iter().all(|v| *v >= 0.0) && self.inverse_range >= 0.0;
-        if finite && positive && unit && self.distant <= 1 {
+        if finite && positive && unit {
             return Ok(());
         }
         Err(Error::invalid(format!(
             "its intensity times its colour is {:?}, its range {}, its place {:?}, its direction {:?}, its cone {} and {}; expected \
-             finite numbers, intensity and range positive, a direction of length 1, \
-             and `distant` 0 or 1",
+             finite numbers, intensity and range positive, a direction of \
+             length 1",
             self.intensity,
             1.0 / self.inverse_range,
             self.position,

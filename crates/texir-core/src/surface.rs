@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3};
 use crate::mesh::Mesh;
 use crate::ray_origin::offset_origin;
 
-/// Where a ray, or a texel, meets the mesh. Point = (1−u−v)·a + u·b + v·c of the triangle's corners.
+/// Where a ray meets the mesh. Point = (1−u−v)·a + u·b + v·c of the triangle's corners.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Hit {
@@ -18,8 +18,7 @@ pub struct Hit {
     pub u: f32,
     /// Barycentric coordinate of the third corner.
     pub v: f32,
-    /// Distance along the ray, metres. In a texel map: 1 where the texel's centre is inside the triangle, 0 where the
-    /// triangle only touches the texel.
+    /// Distance along the ray, metres.
     pub t: f32,
 }
 
@@ -42,6 +41,26 @@ impl Hit {
     /// What lies at the hit between values at the corners of its triangle.
     pub(crate) fn interpolate<V: Add<Output = V> + Mul<f32, Output = V>>(&self, [a, b, c]: [V; 3]) -> V {
         a * (1.0 - self.u - self.v) + b * self.u + c * self.v
+    }
+}
+
+/// Where a texel of an atlas lies on the mesh: see [`Hit`] for the point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TexelHit<R = f32> {
+    /// Index into [`Mesh::triangles`].
+    pub triangle: u32,
+    /// Barycentric coordinate of the second corner.
+    pub u: R,
+    /// Barycentric coordinate of the third corner.
+    pub v: R,
+    /// Whether the texel's centre is inside the triangle, which otherwise only touches the texel.
+    pub inside: bool,
+}
+
+impl TexelHit {
+    /// The same point as that of a ray, without a distance.
+    pub fn hit(&self) -> Hit {
+        Hit { triangle: self.triangle, u: self.u, v: self.v, t: 0.0 }
     }
 }
 

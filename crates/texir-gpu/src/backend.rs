@@ -17,7 +17,7 @@ use texir_core::punctual::PunctualLight;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 use texir_core::specular_table::{Curve, STRATA, TableSampling};
-use texir_core::surface::{Hit, SurfacePoint};
+use texir_core::surface::{Hit, SurfacePoint, TexelHit};
 use texir_core::texture::{Footprints, Pyramid, Rows};
 
 use crate::batch::{Context, GatherShape};
@@ -116,7 +116,7 @@ impl Backend for GpuBackend {
         self.pass("primary", |b| primary::run(&mut b.context, &b.geometry, camera, rows))
     }
 
-    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
+    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Option<TexelHit>>> {
         check::rows(&rows, size[1])?;
         if size[0] == 0 || rows.is_empty() {
             return Ok(Vec::new());

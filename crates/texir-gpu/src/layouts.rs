@@ -3,12 +3,10 @@
 
 use std::mem::offset_of;
 
-use texir_core::backend::{Gathered, Material, MaterialGrad, Projected, RoughnessGradient, ShadePoint, Shaded};
+use texir_core::backend::{Gathered, Projected, RoughnessGradient};
 use texir_core::brdf::DIELECTRIC_F0;
 use texir_core::environment::{BrightPixel, BrightRow};
-use texir_core::lights::LightDensity;
 use texir_core::neighbours::{Entry, FAR, NEAR};
-use texir_core::punctual::PunctualLight;
 use texir_core::rng::Z_SIDE;
 use texir_core::scene::MOST_LEVELS;
 use texir_core::scene::trace::BEHIND;
@@ -18,6 +16,7 @@ use texir_core::texture::Tap;
 
 use crate::gpu::{STORAGE_BUFFERS, THREADS};
 use crate::pass::denoise::{DenoiseParams, Estimate};
+use crate::pass::device::{LightDensity, Material, MaterialGrad, PunctualLight, ShadePoint, Shaded};
 use crate::pass::group_loss::GroupLossParams;
 use crate::pass::irradiance::IrradianceParams;
 use crate::pass::lookup::LookupParams;

@@ -9,6 +9,7 @@ use texir_core::scene::Scene;
 
 use crate::buffer::{View, keep, uniform};
 use crate::gpu::Gpu;
+use crate::pass::device::{LightDensity, laid_out};
 
 /// Columns of a texture that holds an array.
 pub(crate) const TEXTURE_COLUMNS: u32 = 8192;
@@ -184,7 +185,7 @@ impl Lighting {
         let light_triangles: Vec<LightTriangle> = (lights.triangles.iter())
             .map(|l| LightTriangle { primitive: primitive_of[l.triangle as usize], cumulative: l.cumulative })
             .collect();
-        let density: Vec<_> = order.iter().map(|&t| lights.density[t as usize]).collect();
+        let density: Vec<LightDensity> = laid_out(order.iter().map(|&t| &lights.density[t as usize]));
         let clusters = lights.clusters.len() - 1;
         let grid = LightGrid {
             origin: lights.grid.origin.to_array(),

@@ -8,7 +8,7 @@ use super::mapped_bands;
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::mesh::Mesh;
-use crate::surface::Hit;
+use crate::surface::TexelHit;
 
 /// Texels beside each other in the map are strangers where so many steps lie between them on the surface. Within a
 /// chart it is one, and somewhat more where the surface is stretched from there on.
@@ -37,26 +37,29 @@ fn beside_strangers(backend: &mut dyn Backend, [width, height]: [usize; 2]) -> R
     for rows in mapped_bands(scene.mesh(), [width, height]) {
         let above = rows.start.saturating_sub(1);
         let hits = backend.texels([width, height], above..rows.end)?;
-        let hit = |x: usize, y: usize| &hits[(y - above) * width + x];
-        let blends = |(x, y): (usize, usize)| {
-            let beside = [x.checked_sub(1).map(|left| hit(left, y)), y.checked_sub(1).map(|above| hit(x, above))];
-            beside.into_iter().flatten().any(|other| are_strangers(scene.mesh(), [width, height], [hit(x, y), other]))
+        let hit = |x: usize, y: usize| hits[(y - above) * width + x].as_ref();
+        let blends = |(x, y, own): &(usize, usize, &TexelHit)| {
+            let left = x.checked_sub(1).and_then(|left| hit(left, *y));
+            let above = y.checked_sub(1).and_then(|above| hit(*x, above));
+            [left, above].into_iter().flatten().any(|other| are_strangers(scene.mesh(), [width, height], [own, other]))
         };
-        let is_valid = |at: &(usize, usize)| hit(at.0, at.1).is_hit();
-        let texels =
-            || rows.clone().into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y))).filter(is_valid);
+        let texels = || {
+            let of_row = |y: usize| (0..width).filter_map(move |x| Some((x, y, hit(x, y)?)));
+            rows.clone().into_par_iter().flat_map_iter(of_row)
+        };
         valid += texels().count();
-        strange += texels().filter(|at| blends(*at)).count();
+        strange += texels().filter(blends).count();
     }
     Ok(strange as f64 / valid.max(1) as f64)
 }
 
 /// Whether two hits of a texel map, in texels beside each other, are apart on the surface, though one of them is blended
 /// with the other: what lies beyond a texel's centre is.
-fn are_strangers(mesh: &Mesh, size: [usize; 2], hits: [&Hit; 2]) -> bool {
-    if !hits.iter().all(|hit| hit.is_hit()) || hits.iter().all(|hit| hit.t == 0.0) {
+fn are_strangers(mesh: &Mesh, size: [usize; 2], texels: [&TexelHit; 2]) -> bool {
+    if !texels.iter().any(|texel| texel.inside) {
         return false;
     }
+    let hits = texels.map(TexelHit::hit);
     let [a, b] = hits.map(|hit| hit.interpolate(mesh.corners(hit.triangle)));
     let [facing, other] = hits.map(|hit| hit.interpolate(mesh.corner_normals(hit.triangle)));
     let step = hits.map(|hit| step(mesh, size, hit.triangle)).into_iter().fold(0.0, f32::max);

@@ -28,7 +28,7 @@ use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::surface::{Hit, SurfacePoint};
+use crate::surface::{Hit, SurfacePoint, TexelHit};
 
 /// Cells per texel and axis over which materials are looked up: a texel may show several triangles.
 const LOOKUPS: usize = 2;
@@ -196,7 +196,7 @@ impl Model {
                 let (x, y) = (point.sequence as usize % width, point.sequence as usize / width - rows.start);
                 let points =
                     (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
-                let found: Vec<&Hit> = points.map(|i| &hits[i]).filter(|hit| hit.is_hit()).collect();
+                let found: Vec<Hit> = points.filter_map(|i| hits[i].as_ref().map(TexelHit::hit)).collect();
                 let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
                     let at = self.over(hit, cells, materials[hit.triangle as usize]);
                     [sum[0] + at[0], sum[1] + at[1]]

@@ -42,7 +42,7 @@ use crate::real::V3;
 use crate::scene::Scene;
 use crate::scene::trace::TraceHit;
 use crate::specular_table::{Curve, STRATA, TableSampling};
-use crate::surface::{Hit, SurfacePoint};
+use crate::surface::{Hit, SurfacePoint, TexelHit};
 use crate::texture::{Footprints, Pyramid, Rows};
 use lighting::Lighting;
 use shade::{MaterialIn, ShadedIn};
@@ -127,19 +127,14 @@ impl Backend for CpuBackend {
         Ok((rows.start * camera.width..rows.end * camera.width).into_par_iter().map(hit).collect())
     }
 
-    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
+    fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Option<TexelHit>>> {
         let (mesh, [width, height]) = (self.scene.mesh(), size);
         check::rows(&rows, height)?;
         let bins = texels::TileBins::new(mesh, size, rows.clone())?;
         let corners = |t: u32| mesh.corner_uvs(t).map(|uv| [uv.x * width as f32, uv.y * height as f32]);
         let hit = |i: usize| {
             let (x, y) = (i % width, i / width);
-            texels::texel(bins.at(x, y), corners, x, y).map_or(Hit::MISS, |h| Hit {
-                triangle: h.triangle,
-                u: h.u,
-                v: h.v,
-                t: f32::from(u8::from(h.inside)),
-            })
+            texels::texel(bins.at(x, y), corners, x, y)
         };
         Ok((rows.start * width..rows.end * width).into_par_iter().map(hit).collect())
     }
@@ -191,14 +186,7 @@ impl Backend for CpuBackend {
         let (lighting, _) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
             let s = shade::shade(&lighting, point, &MaterialIn::from(&materials[i]), sampling, gradient);
-            Shaded {
-                radiance: s.radiance.0,
-                pad0: 0.0,
-                specular_scale: s.specular_scale.0,
-                pad1: 0.0,
-                d_roughness: s.d_roughness.0,
-                pad2: 0.0,
-            }
+            Shaded { radiance: s.radiance.0, specular_scale: s.specular_scale.0, d_roughness: s.d_roughness.0 }
         })
     }
 
@@ -217,7 +205,7 @@ impl Backend for CpuBackend {
                 d_roughness: V3(shaded[i].d_roughness),
             };
             let d = shade_vjp::shade_vjp(&points[i], &MaterialIn::from(&materials[i]), &jacobian, V3(d_radiance[i]));
-            MaterialGrad { albedo: d.albedo.0, roughness: d.roughness, metallic: d.metallic, pad: [0.0; 3] }
+            MaterialGrad { albedo: d.albedo.0, roughness: d.roughness, metallic: d.metallic }
         };
         Ok((0..points.len()).into_par_iter().map(grad).collect())
     }

@@ -12,7 +12,7 @@ pub fn punctual<R: Real>(tracer: &impl Trace<R>, light: &PunctualLight, point: &
     let scalar = |v: f32| R::of(f64::from(v));
     let origin = V3::of(point.position);
     let axis = V3::<R>::of(light.direction);
-    let (direction, distance, falloff) = if light.distant == 1 {
+    let (direction, distance, falloff) = if light.distant {
         (axis * R::of(-1.0), R::of(f64::INFINITY), one)
     } else {
         let way: V3<R> = V3::of(light.position) - origin;

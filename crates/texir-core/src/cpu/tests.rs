@@ -63,11 +63,8 @@ fn point(view: Vec3) -> ShadePoint {
         position: [0.4, 0.55, 1e-4],
         sequence: 9,
         normal: [0.0, 0.0, 1.0],
-        pad0: 0.0,
         view: view.normalize().to_array(),
-        pad1: 0.0,
         irradiance: [1.0, 0.8, 0.5],
-        pad2: 0.0,
     }
 }
 
@@ -247,7 +244,7 @@ fn a_closed_box_of_constant_radiance_is_a_furnace() {
     backend.set_tbl(&Rgb::filled(4, 4, [2.0, 1.0, 0.5]), &Lights::none(scene.mesh())).unwrap();
     let hits = backend.texels([24, 8], 0..8).unwrap();
     let points: Vec<SurfacePoint> =
-        hits.iter().filter(|h| h.is_hit()).map(|h| SurfacePoint::new(scene.mesh(), h, None)).collect();
+        hits.iter().flatten().map(|h| SurfacePoint::new(scene.mesh(), &h.hit(), None)).collect();
     assert!(points.len() > 100);
     for g in backend.irradiance(&points, Gather::new(64, 64, 3), &Silent).unwrap() {
         let e = g.irradiance;

@@ -7,6 +7,7 @@ use glam::Vec2;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::real::Real;
+use crate::surface::TexelHit;
 
 /// Side of the tiles that triangles are binned into, texels.
 pub const TILE: usize = 16;
@@ -80,19 +81,6 @@ impl TileBins {
         let tile = (y / TILE - self.first_row) * self.columns + x / TILE;
         &self.triangles[self.offsets[tile] as usize..self.offsets[tile + 1] as usize]
     }
-}
-
-/// The surface point of one texel.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TexelHit<R> {
-    /// Triangle index.
-    pub triangle: u32,
-    /// Barycentric coordinate of the second corner.
-    pub u: R,
-    /// Barycentric coordinate of the third corner.
-    pub v: R,
-    /// Whether the texel's centre is inside.
-    pub inside: bool,
 }
 
 /// Texel (x, y): the lowest-numbered triangle that contains its centre; else the nearest point of the nearest triangle

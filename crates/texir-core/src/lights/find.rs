@@ -41,7 +41,7 @@ impl Lights {
             for (&triangle, cumulative) in cluster.iter().zip(cumulative(&weights)) {
                 let per_area = luminance[triangle as usize] / sum;
                 lights.density[triangle as usize] =
-                    LightDensity { per_area, cluster: powers.len() as u32, front_only: 1 };
+                    LightDensity { per_area, cluster: powers.len() as u32, front_only: true };
                 lights.triangles.push(LightTriangle { triangle, cumulative });
             }
             lights.clusters.push(lights.triangles.len() as u32);
@@ -96,7 +96,7 @@ impl<'a> Finder<'a> {
     /// lets no light through, and what its front reflects does not leave its back.
     pub fn one_sided(self) -> Lights {
         let mut lights = self.find();
-        lights.density.iter_mut().for_each(|density| density.front_only = 1);
+        lights.density.iter_mut().for_each(|density| density.front_only = true);
         lights
     }
 

@@ -28,16 +28,15 @@ pub struct LightTriangle {
 }
 
 /// How densely a mesh triangle is sampled.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LightDensity {
     /// Density, per square metre, of points on the triangle once its cluster is chosen; 0 for what is no light.
     pub per_area: f32,
     /// The triangle's cluster; 0 for what is no light.
     pub cluster: u32,
-    /// 1 where its back is black, as a light's is, and that of all surfaces of an authored scene; 0 where either side
-    /// shows the same radiance.
-    pub front_only: u32,
+    /// Whether its back is black, as a light's is, and that of all surfaces of an authored scene; else either side shows
+    /// the same radiance.
+    pub front_only: bool,
 }
 
 /// Which table belongs to which part of the surface: cubic cells times six facings.

@@ -2,6 +2,7 @@
 //! [`crate::batch`]'s matter.
 
 pub(crate) mod denoise;
+pub(crate) mod device;
 pub(crate) mod group_loss;
 pub(crate) mod irradiance;
 pub(crate) mod lookup;

@@ -7,7 +7,7 @@ use texir_core::progress::Progress;
 use texir_core::punctual::PunctualLight;
 use texir_core::surface::SurfacePoint;
 
-use super::WORKGROUP;
+use super::{WORKGROUP, device};
 use crate::batch::Context;
 use crate::buffer::View;
 use crate::scene::Geometry;
@@ -28,7 +28,7 @@ pub(crate) fn run(
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
     let kernel = ctx.kernel("punctual", "punctual", None)?;
-    let lights: Vec<View> = lights.iter().map(|light| ctx.params(light)).collect();
+    let lights: Vec<View> = lights.iter().map(|light| ctx.params(&device::PunctualLight::from(light))).collect();
     let mut sums = vec![[0.0; 3]; points.len()];
     ctx.one_ray_each(&kernel, points.len(), |ctx, range| {
         let count = range.len();

@@ -8,6 +8,7 @@ use texir_core::backend::{Material, RoughnessGradient, Sampling, ShadePoint, Sha
 use texir_core::error::Result;
 use texir_core::progress::Progress;
 
+use super::device::{self, laid_out};
 use crate::batch::{Context, GatherShape, Gathering};
 use crate::buffer::View;
 use crate::kernel::Kernel;
@@ -43,7 +44,7 @@ struct Batch {
 }
 
 impl Gathering for Shade<'_> {
-    const ITEM_BYTES: usize = size_of::<ShadePoint>();
+    const ITEM_BYTES: usize = size_of::<device::ShadePoint>();
     type Batch = Batch;
 
     fn kernel(&self, _: usize) -> &Kernel {
@@ -52,9 +53,17 @@ impl Gathering for Shade<'_> {
 
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
         Ok(Batch {
-            points: ctx.pool.upload(&ctx.gpu, "shade points", &self.points[items.clone()])?,
-            materials: ctx.pool.upload(&ctx.gpu, "materials", &self.materials[items.clone()])?,
-            shaded: ctx.pool.reserve(&ctx.gpu, "shaded", (items.len() * size_of::<Shaded>()) as u64)?,
+            points: ctx.pool.upload(
+                &ctx.gpu,
+                "shade points",
+                &laid_out::<_, device::ShadePoint>(&self.points[items.clone()]),
+            )?,
+            materials: ctx.pool.upload(
+                &ctx.gpu,
+                "materials",
+                &laid_out::<_, device::Material>(&self.materials[items.clone()]),
+            )?,
+            shaded: ctx.pool.reserve(&ctx.gpu, "shaded", (items.len() * size_of::<device::Shaded>()) as u64)?,
         })
     }
 
@@ -87,7 +96,8 @@ impl Gathering for Shade<'_> {
     }
 
     fn collect(&mut self, ctx: &mut Context, batch: Batch, count: usize) -> Result<()> {
-        self.out.extend(ctx.pool.download::<Shaded>(&ctx.gpu, &batch.shaded, count)?);
+        let shaded = ctx.pool.download::<device::Shaded>(&ctx.gpu, &batch.shaded, count)?;
+        self.out.extend(shaded.into_iter().map(Shaded::from));
         Ok(())
     }
 }

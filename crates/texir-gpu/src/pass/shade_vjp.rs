@@ -5,6 +5,7 @@ use texir_core::backend::{Material, MaterialGrad, ShadePoint, Shaded};
 use texir_core::error::Result;
 
 use super::WORKGROUP;
+use super::device::{self, laid_out};
 use crate::batch::Context;
 
 #[repr(C)]
@@ -25,11 +26,11 @@ pub(crate) fn run(
     let count = points.len();
     let params = ctx.params(&ShadeVjpParams { count: count as u32 });
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
-    let points = pool.upload(gpu, "shade points", points)?;
-    let materials = pool.upload(gpu, "materials", materials)?;
-    let shaded = pool.upload(gpu, "shaded", shaded)?;
+    let points = pool.upload(gpu, "shade points", &laid_out::<_, device::ShadePoint>(points))?;
+    let materials = pool.upload(gpu, "materials", &laid_out::<_, device::Material>(materials))?;
+    let shaded = pool.upload(gpu, "shaded", &laid_out::<_, device::Shaded>(shaded))?;
     let d_radiance = pool.upload(gpu, "d_radiance", d_radiance)?;
-    let d_materials = pool.reserve(gpu, "d_materials", (count * size_of::<MaterialGrad>()) as u64)?;
+    let d_materials = pool.reserve(gpu, "d_materials", (count * size_of::<device::MaterialGrad>()) as u64)?;
     let groups = kernel.bind(
         gpu.device(),
         &[
@@ -42,5 +43,6 @@ pub(crate) fn run(
         ],
     )?;
     ctx.submit(|pass| kernel.record(pass, &groups, count.div_ceil(WORKGROUP)))?;
-    ctx.pool.download(&ctx.gpu, &d_materials, count)
+    let gradients = ctx.pool.download::<device::MaterialGrad>(&ctx.gpu, &d_materials, count)?;
+    Ok(gradients.into_iter().map(MaterialGrad::from).collect())
 }

@@ -10,6 +10,7 @@ use texir_core::error::Result;
 use texir_core::progress::Progress;
 use texir_core::specular_table::{Curve, LOBES, NODES, STRATA, TableSampling, node};
 
+use super::device::{self, laid_out};
 use crate::batch::{Context, GatherShape, Gathering};
 use crate::buffer::View;
 use crate::kernel::Kernel;
@@ -69,7 +70,8 @@ impl Gathering for SpecularTable<'_> {
     fn upload(&mut self, ctx: &mut Context, items: Range<usize>) -> Result<Batch> {
         let tables = ctx.pool.reserve(&ctx.gpu, "specular tables", (items.len() * size_of::<Sums>()) as u64)?;
         tables.clear(&ctx.gpu);
-        Ok(Batch { pixels: ctx.pool.upload(&ctx.gpu, "strata", &self.pixels[items])?, tables })
+        let strata = laid_out::<_, device::ShadePoint>(self.pixels[items].as_flattened());
+        Ok(Batch { pixels: ctx.pool.upload(&ctx.gpu, "strata", &strata)?, tables })
     }
 
     fn dispatch(

@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::cpu::texels::{REACH, TILE, TileBins};
 use texir_core::error::Result;
 use texir_core::mesh::Mesh;
-use texir_core::surface::Hit;
+use texir_core::surface::{Hit, TexelHit};
 
 use crate::batch::Context;
 
@@ -27,7 +27,12 @@ pub(crate) struct TexelsParams {
 }
 
 /// See [`texir_core::backend::Backend::texels`].
-pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Hit>> {
+pub(crate) fn run(
+    ctx: &mut Context,
+    mesh: &Mesh,
+    size: [usize; 2],
+    rows: Range<usize>,
+) -> Result<Vec<Option<TexelHit>>> {
     let kernel = ctx.kernel("texels", "texels", Some(("TILE", TILE as u32)))?;
     let ([width, height], count) = (size, size[0] * rows.len());
     let bins = TileBins::new(mesh, size, rows.clone())?;
@@ -71,10 +76,8 @@ pub(crate) fn run(ctx: &mut Context, mesh: &Mesh, size: [usize; 2], rows: Range<
             row = end;
         }
     }
-    let mut out: Vec<Hit> = ctx.pool.download(&ctx.gpu, &hits, count)?;
-    for hit in &mut out {
-        // From the squared distance to whether the centre is inside.
-        *hit = if hit.is_hit() { Hit { t: f32::from(u8::from(hit.t == 0.0)), ..*hit } } else { Hit::MISS };
-    }
-    Ok(out)
+    // The device's `t` is the squared distance of the centre, which is 0 inside.
+    let on_mesh = |Hit { triangle, u, v, t }: Hit| TexelHit { triangle, u, v, inside: t == 0.0 };
+    let hits: Vec<Hit> = ctx.pool.download(&ctx.gpu, &hits, count)?;
+    Ok(hits.into_iter().map(|hit| hit.is_hit().then(|| on_mesh(hit))).collect())
 }

@@ -107,7 +107,6 @@ pub fn share(pixels: &[usize], patches: &[Patch], squares: Squares) -> Blocks {
 
 #[cfg(test)]
 mod tests {
-    use bytemuck::Zeroable;
 
     use super::super::squares::AXIS;
     use super::super::squares::tests::of_photo;
@@ -163,7 +162,7 @@ mod tests {
     #[test]
     fn pixels_across_an_edge_are_not_shared_with_those_beside_it() {
         // The wall ends within the pixels of column 3: their right strata see what is a metre behind it.
-        let point = |at: Vec3| ShadePoint { position: at.into(), normal: Vec3::Z.into(), ..Zeroable::zeroed() };
+        let point = |at: Vec3| ShadePoint { position: at.into(), normal: Vec3::Z.into(), ..ShadePoint::default() };
         let seen = |behind: f32| {
             move |p: usize| {
                 let at = wall(p).position;

@@ -91,11 +91,8 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
                     position: point.position,
                     sequence: strata.len() as u32,
                     normal: [0.0, 0.0, 1.0],
-                    pad0: 0.0,
                     view: to_camera.to_array(),
-                    pad1: 0.0,
                     irradiance: irradiance[t].to_array(),
-                    pad2: 0.0,
                 }; STRATA],
             );
             seen.cosine.push(to_camera.z);
