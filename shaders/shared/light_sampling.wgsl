@@ -4,7 +4,7 @@
 #import bvh
 #import math
 
-struct LightTriangle {
+struct LightPrimitive {
     primitive: u32,
     // Probability, within the cluster, of this triangle and those before it.
     cumulative: f32,
@@ -29,7 +29,7 @@ struct LightGrid {
     clusters: u32,
 }
 
-@group(0) @binding(5) var<storage, read> light_triangles: array<LightTriangle>;
+@group(0) @binding(5) var<storage, read> light_triangles: array<LightPrimitive>;
 // Per primitive.
 @group(0) @binding(6) var<storage, read> light_density: array<LightDensity>;
 // The first of each cluster's triangles, and at last their number.

@@ -17,8 +17,8 @@ use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
 use texir_core::scene::Scene;
 use texir_core::surface::{Hit, SurfacePoint};
-use texir_core::texture::{Pyramid, Rows, Tap};
-use texir_gpu::{GatherShape, Gpu, GpuBackend, Hierarchy};
+use texir_core::texture::{Pyramid, SparseRows, Tap};
+use texir_gpu::{GatherShape, Gpu, GpuBackend, HierarchyStorage};
 use texir_tests::compare::{Tolerance, lanes3};
 use texir_tests::{gpu, scenes};
 
@@ -132,7 +132,7 @@ fn buffers_and_textures_hold_the_same_hierarchy() {
     let scene = Arc::new(Scene::new(scenes::subdivided(room().mesh(), 3)).unwrap());
     assert!(scene.nodes().len() > 8192 * 16, "its nodes are in one row of a texture");
     let points = points(&scene, 200);
-    let [buffers, textures] = [Hierarchy::Buffers, Hierarchy::Textures].map(|place| {
+    let [buffers, textures] = [HierarchyStorage::Buffers, HierarchyStorage::Textures].map(|place| {
         let mut backend = GpuBackend::with_hierarchy(&gpu, scene.clone(), place).unwrap();
         light(&mut backend);
         let e = backend.irradiance(&points, Gather::new(64, 64, 6), &Silent).unwrap();
@@ -357,15 +357,15 @@ fn misused(backend: &mut dyn Backend) {
     let strange = backend.group_loss(&[0.0; 4], 1, &strange, GroupTarget::Mean).unwrap_err().to_string();
     assert!(strange.contains("pixel 7"), "{strange}");
     let pyramid = Pyramid::new(2, 2, &[true; 4]);
-    let beyond = Rows { offsets: vec![0, 1], taps: vec![Tap { texel: 9, weight: 1.0 }] };
+    let beyond = SparseRows { offsets: vec![0, 1], taps: vec![Tap { texel: 9, weight: 1.0 }] };
     let small = backend.lookup(&pyramid, &[0.0; 3], 1, &beyond).unwrap_err().to_string();
     assert!(small.contains("texture of lookup"), "{small}");
     let beyond = backend.lookup(&pyramid, &[0.0; 4], 1, &beyond).unwrap_err().to_string();
     assert!(beyond.contains("texel 9"), "{beyond}");
-    let torn = Rows { offsets: vec![0, 2], taps: vec![Tap { texel: 0, weight: 1.0 }] };
+    let torn = SparseRows { offsets: vec![0, 2], taps: vec![Tap { texel: 0, weight: 1.0 }] };
     let torn = backend.lookup(&pyramid, &[0.0; 4], 1, &torn).unwrap_err().to_string();
     assert!(torn.contains("offsets"), "{torn}");
-    let flat = Rows { offsets: vec![0], taps: Vec::new() };
+    let flat = SparseRows { offsets: vec![0], taps: Vec::new() };
     let flat = backend.lookup(&pyramid, &[], 0, &flat).unwrap_err().to_string();
     assert!(flat.contains("0 channels"), "{flat}");
     let pair = Groups { offsets: vec![0, 2], members: vec![0, 1], references: vec![1] };

@@ -19,7 +19,7 @@ use texir_core::rng::{hash, hash2, sobol2};
 use texir_core::scene::Scene;
 use texir_core::scene::trace::{Exhaustive, TraceHit};
 use texir_core::surface::{Hit, SurfacePoint, TexelHit};
-use texir_core::texture::{Footprints, Pyramid, Rows, Tap};
+use texir_core::texture::{Footprints, Pyramid, SparseRows, Tap};
 use texir_gpu::GpuBackend;
 use texir_tests::compare::{Tolerance, lanes, lanes3};
 use texir_tests::{gpu, scenes};
@@ -366,7 +366,7 @@ fn pyramid() -> (Pyramid, Footprints) {
         let sees = |t: &usize| row == 0 || hash2(row, *t as u32).is_multiple_of(3000);
         (0..pyramid.len()).filter(|&t| pyramid.coverage[t] > 0.0).filter(sees).map(texel).collect()
     };
-    let footprints = Footprints::new(Rows::from_lists((0..500).map(taps)));
+    let footprints = Footprints::new(SparseRows::from_lists((0..500).map(taps)));
     (pyramid, footprints)
 }
 

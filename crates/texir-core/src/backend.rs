@@ -25,7 +25,7 @@ use crate::rng::{Z_SIDE, along_z_curve, hash2};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint, TexelHit};
-use crate::texture::{Footprints, Pyramid, Rows};
+use crate::texture::{Footprints, Pyramid, SparseRows};
 
 /// How many samples to draw, and from which stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -367,7 +367,13 @@ pub trait Backend {
     ) -> Result<Loss<f32>>;
 
     /// Mip-mapped texture lookup: `channels` interleaved numbers per texel in, the same per footprint, a row each, out.
-    fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>>;
+    fn lookup(
+        &mut self,
+        pyramid: &Pyramid,
+        texture: &[f32],
+        channels: usize,
+        footprints: &SparseRows,
+    ) -> Result<Vec<f32>>;
 
     /// Transpose of [`Backend::lookup`]: cotangents of the looked-up values back to every texel.
     fn lookup_vjp(

@@ -16,7 +16,7 @@ use crate::light_unit::scale;
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
-use crate::render::{Mipmapped, Renderer, Surfaces, Textures};
+use crate::render::{GBuffer, Mipmapped, Renderer, Textures};
 
 /// MSE below which PSNR stops growing (120 dB): below what `f32` images resolve, and finite in JSON.
 const MSE_FLOOR: f64 = 1e-12;
@@ -139,7 +139,7 @@ pub struct Evaluated<'a> {
     /// The view rendered from the result, likewise.
     pub rendered: &'a Rgb,
     /// What the view shows of the result's textures.
-    pub surfaces: &'a Surfaces,
+    pub surfaces: &'a GBuffer,
     /// True linear albedo.
     pub albedo: Option<&'a Rgb>,
     /// True perceptual roughness.
@@ -347,7 +347,7 @@ impl<'a> Subject<'a> {
 /// A view as a subject shows it.
 struct SubjectView {
     rendered: Rgb,
-    surfaces: Surfaces,
+    surfaces: GBuffer,
     mask: Mask,
     albedo_scale: Option<f64>,
 }

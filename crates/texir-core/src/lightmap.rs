@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use crate::image_io::{Rows, write_hdr, write_ktx2, write_rgb};
+use crate::image_io::{ImageRows, write_hdr, write_ktx2, write_rgb};
 use crate::raster::Rgb;
 
 /// What an engine takes a lightmap's texel for. `docs/baking.md` says what else each one needs.
@@ -45,11 +45,11 @@ pub fn check_extension(path: impl AsRef<Path>) -> Result<()> {
 }
 
 /// Writes `.exr` (32-bit float), `.hdr` (RGBE) or `.ktx2` (half float), by extension.
-pub fn write_lightmap<'a>(path: impl AsRef<Path>, map: impl Into<Rows<'a, 3>>) -> Result<()> {
+pub fn write_lightmap<'a>(path: impl AsRef<Path>, map: impl Into<ImageRows<'a, 3>>) -> Result<()> {
     writer(path.as_ref())?(path.as_ref(), map.into())
 }
 
-fn writer(path: &Path) -> Result<fn(&Path, Rows<'_, 3>) -> Result<()>> {
+fn writer(path: &Path) -> Result<fn(&Path, ImageRows<'_, 3>) -> Result<()>> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     Ok(match extension.as_str() {
         "exr" => |path, map| write_rgb(path, map),

@@ -66,7 +66,7 @@ pub struct Textures {
 
 /// What a camera sees of the textures, before shading. Zero where the ray met nothing.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Surfaces {
+pub struct GBuffer {
     /// Primary hit of every pixel.
     pub hits: Vec<Hit>,
     /// Linear albedo.
@@ -79,7 +79,7 @@ pub struct Surfaces {
     pub emission: Rgb,
 }
 
-impl Surfaces {
+impl GBuffer {
     /// Pixels that show a surface which does not glow: where a material can be seen.
     pub fn reflective(&self) -> Mask {
         Raster {
@@ -156,7 +156,7 @@ impl<'a> Renderer<'a> {
     }
 
     /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
-    pub fn surfaces(&mut self, camera: &Camera, textures: &Mipmapped<'_>) -> Result<Surfaces> {
+    pub fn surfaces(&mut self, camera: &Camera, textures: &Mipmapped<'_>) -> Result<GBuffer> {
         indexable(camera)?;
         let scene = self.scene.clone();
         textures.check(&scene)?;
@@ -179,7 +179,7 @@ impl<'a> Renderer<'a> {
             }
             hits.extend(band);
         }
-        Ok(Surfaces {
+        Ok(GBuffer {
             hits,
             albedo: Raster::new(width, height, albedo)?,
             roughness: Raster::new(width, height, roughness)?,

@@ -134,20 +134,20 @@ pub struct Tap {
 
 /// A list of rows of taps.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Rows<T = Tap> {
+pub struct SparseRows<T = Tap> {
     /// `rows + 1` offsets into `taps`.
     pub offsets: Vec<u32>,
     /// Entries, row by row.
     pub taps: Vec<T>,
 }
 
-impl<T> Default for Rows<T> {
+impl<T> Default for SparseRows<T> {
     fn default() -> Self {
         Self { offsets: vec![0], taps: Vec::new() }
     }
 }
 
-impl<T> Rows<T> {
+impl<T> SparseRows<T> {
     /// Flattens one list of taps per row.
     pub fn from_lists(lists: impl IntoIterator<Item = Vec<T>>) -> Self {
         let mut rows = Self::default();
@@ -177,10 +177,10 @@ impl<T> Rows<T> {
     }
 }
 
-impl Rows {
+impl SparseRows {
     /// The transpose of a matrix with `columns` columns: its row `j` lists the rows of `self` that have an entry in
     /// column `j`, ascending.
-    pub fn transposed(&self, columns: usize) -> Rows {
+    pub fn transposed(&self, columns: usize) -> SparseRows {
         let mut offsets = vec![0u32; columns + 1];
         self.taps.iter().for_each(|tap| offsets[tap.texel as usize + 1] += 1);
         for j in 0..columns {
@@ -195,7 +195,7 @@ impl Rows {
                 *slot += 1;
             }
         }
-        Rows { offsets, taps }
+        SparseRows { offsets, taps }
     }
 
     /// Footprints of the listed pixels of a view, a row each. `fine` is the view [`Camera::supersampled`] by `factor`,
@@ -237,23 +237,23 @@ impl Rows {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Footprints {
     /// Per pixel, the pyramid texels it sees; empty for a pixel that sees no valid texel.
-    pub rows: Rows,
+    pub rows: SparseRows,
     /// Pyramid texels seen by any pixel, ascending.
     pub touched: Vec<u32>,
     /// Per entry of `touched`, the pixels that see it ([`Tap::texel`] is a pixel index).
-    pub columns: Rows,
+    pub columns: SparseRows,
 }
 
 impl Footprints {
     /// Builds the transpose of `rows`.
-    pub fn new(rows: Rows) -> Self {
+    pub fn new(rows: SparseRows) -> Self {
         let mut transposed: Vec<(u32, Tap)> = Vec::with_capacity(rows.taps.len());
         for pixel in 0..rows.len() {
             transposed.extend(rows.row(pixel).iter().map(|t| (t.texel, Tap { texel: pixel as u32, weight: t.weight })));
         }
         transposed.par_sort_by_key(|(texel, tap)| (*texel, tap.texel));
         let mut touched: Vec<u32> = Vec::new();
-        let mut columns = Rows { offsets: Vec::new(), taps: Vec::with_capacity(transposed.len()) };
+        let mut columns = SparseRows { offsets: Vec::new(), taps: Vec::with_capacity(transposed.len()) };
         for (texel, tap) in transposed {
             if touched.last() != Some(&texel) {
                 touched.push(texel);

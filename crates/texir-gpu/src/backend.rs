@@ -18,7 +18,7 @@ use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 use texir_core::specular_table::{Curve, STRATA, TableSampling};
 use texir_core::surface::{Hit, SurfacePoint, TexelHit};
-use texir_core::texture::{Footprints, Pyramid, Rows};
+use texir_core::texture::{Footprints, Pyramid, SparseRows};
 
 use crate::batch::{Context, GatherShape};
 use crate::gpu::Gpu;
@@ -26,7 +26,7 @@ use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
     specular_table, texels,
 };
-use crate::scene::{Geometry, Hierarchy, Lighting, Sky};
+use crate::scene::{Geometry, HierarchyStorage, Lighting, Sky};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend {
@@ -42,11 +42,11 @@ impl GpuBackend {
     /// Uploads the scene, which others may share. The device's queue is used from the calling thread, and only during
     /// calls.
     pub fn new(gpu: &Gpu, scene: impl Into<Arc<Scene>>) -> Result<Self> {
-        Self::with_hierarchy(gpu, scene, Hierarchy::best(gpu))
+        Self::with_hierarchy(gpu, scene, HierarchyStorage::best(gpu))
     }
 
     /// [`GpuBackend::new`] with a choice that changes speed only.
-    pub fn with_hierarchy(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: Hierarchy) -> Result<Self> {
+    pub fn with_hierarchy(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: HierarchyStorage) -> Result<Self> {
         let scene = scene.into();
         let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);
@@ -231,7 +231,13 @@ impl Backend for GpuBackend {
         self.pass("group_loss", |b| group_loss::run(&mut b.context, values, channels, groups, target))
     }
 
-    fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
+    fn lookup(
+        &mut self,
+        pyramid: &Pyramid,
+        texture: &[f32],
+        channels: usize,
+        footprints: &SparseRows,
+    ) -> Result<Vec<f32>> {
         check::lookup(pyramid, texture, channels, footprints)?;
         countable(pyramid.len() * channels)?;
         self.pass("lookup", |b| lookup::run(&mut b.context, &mut b.cache, pyramid, texture, channels, footprints))

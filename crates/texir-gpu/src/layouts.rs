@@ -30,8 +30,8 @@ use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::pass::{WORKGROUP, specular_table};
-use crate::scene::{Hierarchy, TEXTURE_COLUMNS};
-use crate::scene::{LightGrid, LightTriangle};
+use crate::scene::{HierarchyStorage, TEXTURE_COLUMNS};
+use crate::scene::{LightGrid, LightPrimitive};
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -52,7 +52,7 @@ macro_rules! host {
 
 /// The declaration of `name` in the composed shader.
 fn wgsl(shader: &str, name: &str) -> Layout {
-    let variant = Variant { hierarchy: Hierarchy::Buffers, roughness: RoughnessGradient::Exact };
+    let variant = Variant { hierarchy: HierarchyStorage::Buffers, roughness: RoughnessGradient::Exact };
     let module = SHADERS.compose(shader, variant).unwrap().module;
     let (_, ty) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
@@ -73,7 +73,7 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
-        ("irradiance", "LightTriangle", host!(LightTriangle { primitive, cumulative })),
+        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, cumulative })),
         ("irradiance", "LightDensity", host!(LightDensity { per_area, cluster, front_only })),
         ("irradiance", "LightGrid", host!(LightGrid { origin, per_metre, size, clusters })),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
@@ -259,7 +259,7 @@ fn constant(module: &naga::Module, name: &str) -> Option<f64> {
 
 #[test]
 fn constants_that_both_have_are_the_same() {
-    let variant = Variant { hierarchy: Hierarchy::Textures, roughness: RoughnessGradient::Exact };
+    let variant = Variant { hierarchy: HierarchyStorage::Textures, roughness: RoughnessGradient::Exact };
     for (shader, name, host) in constants() {
         let module = SHADERS.compose(shader, variant).unwrap().module;
         assert_eq!(constant(&module, name).map(|value| value as f32), Some(host as f32), "{name} of {shader}.wgsl");

@@ -24,5 +24,5 @@ mod wgsl;
 pub use backend::GpuBackend;
 pub use batch::GatherShape;
 pub use gpu::{Gpu, required_features, required_limits};
-pub use scene::Hierarchy;
+pub use scene::HierarchyStorage;
 pub use wgpu;

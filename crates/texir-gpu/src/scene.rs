@@ -19,14 +19,14 @@ const TEXTURE_PIECE: usize = 32 << 20;
 
 /// Where the hierarchy lies on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Hierarchy {
+pub enum HierarchyStorage {
     /// In storage buffers: for GPUs.
     Buffers,
     /// In float storage textures, whose fetches are faster on software drivers.
     Textures,
 }
 
-impl Hierarchy {
+impl HierarchyStorage {
     /// The faster one for a device.
     pub fn best(gpu: &Gpu) -> Self {
         // Other APIs' software drivers are not measured, and need not keep the bits of small numbers in float textures.
@@ -43,8 +43,8 @@ enum Words {
 }
 
 impl Words {
-    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: Hierarchy) -> Result<Self> {
-        if place == Hierarchy::Buffers {
+    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: HierarchyStorage) -> Result<Self> {
+        if place == HierarchyStorage::Buffers {
             return Ok(Self::Buffer(keep(gpu, name, words)?));
         }
         let mut padded;
@@ -81,7 +81,7 @@ pub(crate) struct Geometry {
 }
 
 impl Geometry {
-    pub fn new(gpu: &Gpu, scene: &Scene, place: Hierarchy) -> Result<Self> {
+    pub fn new(gpu: &Gpu, scene: &Scene, place: HierarchyStorage) -> Result<Self> {
         let (mesh, order) = (scene.mesh(), scene.primitives());
         let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
         let mut triangles = Vec::with_capacity(4 * order.len());
@@ -144,7 +144,7 @@ impl Sky {
 /// As `shared/light_sampling.wgsl` has it: by primitive of the hierarchy, not by triangle of the mesh.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-pub(crate) struct LightTriangle {
+pub(crate) struct LightPrimitive {
     pub primitive: u32,
     pub cumulative: f32,
 }
@@ -182,8 +182,8 @@ impl Lighting {
         for (primitive, &triangle) in order.iter().enumerate() {
             primitive_of[triangle as usize] = primitive as u32;
         }
-        let light_triangles: Vec<LightTriangle> = (lights.triangles.iter())
-            .map(|l| LightTriangle { primitive: primitive_of[l.triangle as usize], cumulative: l.cumulative })
+        let light_triangles: Vec<LightPrimitive> = (lights.triangles.iter())
+            .map(|l| LightPrimitive { primitive: primitive_of[l.triangle as usize], cumulative: l.cumulative })
             .collect();
         let density: Vec<LightDensity> = laid_out(order.iter().map(|&t| &lights.density[t as usize]));
         let clusters = lights.clusters.len() - 1;

@@ -10,7 +10,7 @@ use std::path::Path;
 use texir_core::backend::RoughnessGradient;
 use texir_core::error::{Error, Result};
 
-use crate::scene::Hierarchy;
+use crate::scene::HierarchyStorage;
 
 /// Sources by name, as files on disk are: `shade`, or `shared/bvh`.
 #[derive(Clone, Copy)]
@@ -59,7 +59,7 @@ pub const SHADERS: Library<'static> = Library(sources![
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
     /// `fetch`: where the hierarchy lies.
-    pub hierarchy: Hierarchy,
+    pub hierarchy: HierarchyStorage,
     /// `roughness`: which derivative with respect to roughness shading returns.
     pub roughness: RoughnessGradient,
 }
@@ -68,7 +68,7 @@ impl Variant {
     /// Every variant.
     #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Self> {
-        [Hierarchy::Buffers, Hierarchy::Textures].into_iter().flat_map(|hierarchy| {
+        [HierarchyStorage::Buffers, HierarchyStorage::Textures].into_iter().flat_map(|hierarchy| {
             [RoughnessGradient::Exact, RoughnessGradient::Authors].map(|roughness| Self { hierarchy, roughness })
         })
     }
@@ -76,8 +76,8 @@ impl Variant {
     /// The module behind an imported name.
     fn module<'n>(&self, name: &'n str) -> &'n str {
         match (name, self.hierarchy, self.roughness) {
-            ("fetch", Hierarchy::Textures, _) => "fetch_texture",
-            ("fetch", Hierarchy::Buffers, _) => "fetch_buffer",
+            ("fetch", HierarchyStorage::Textures, _) => "fetch_texture",
+            ("fetch", HierarchyStorage::Buffers, _) => "fetch_buffer",
             ("roughness", _, RoughnessGradient::Exact) => "roughness_exact",
             ("roughness", _, RoughnessGradient::Authors) => "roughness_authors",
             _ => name,

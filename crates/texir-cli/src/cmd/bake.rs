@@ -13,7 +13,7 @@ use texir_core::bake::{self, Buried, Denoiser, Quality, Solution, Texels, Worksp
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::error::Error;
-use texir_core::image_io::{BRIGHTEST_HALF, Rows, write_gray};
+use texir_core::image_io::{BRIGHTEST_HALF, ImageRows, write_gray};
 use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
@@ -221,7 +221,7 @@ impl Bake {
         let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
         let ends_at_half = self.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ktx2"));
         console.start("map", (size[0] * size[1]) as u64, "texels");
-        let map = Rows::new(size, |rows| {
+        let map = ImageRows::new(size, |rows| {
             console.check()?;
             console.advance((rows.len() * size[0]) as u64);
             let first = rows.start;
@@ -249,13 +249,13 @@ impl Bake {
         console.check()?;
         written?;
         console.finish();
-        self.write_standard_error(Rows::new(size, |rows| {
+        self.write_standard_error(ImageRows::new(size, |rows| {
             Ok(solution.error_rows(texels, rows)?.into_iter().map(|e| [e * scale]).collect())
         }))
     }
 
     /// Writes what `--stderr` asks for, in the unit of the map.
-    fn write_standard_error(&self, errors: Rows<'_, 1>) -> Result<(), Failure> {
+    fn write_standard_error(&self, errors: ImageRows<'_, 1>) -> Result<(), Failure> {
         if self.stderr {
             write_gray(self.standard_error(), errors)?;
         }

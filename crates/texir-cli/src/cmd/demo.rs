@@ -6,7 +6,7 @@ use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use tempfile::TempDir;
 use texir_core::capture::{self, LoadOptions};
-use texir_core::demo::{self, Flat, FlatOptions, PaintStyle, RenderOptions, ShotOptions};
+use texir_core::demo::{self, Flat, FlatOptions, PaintStyle, PanoramaOptions, RenderOptions};
 use texir_core::outputs::{REPORT, SCENE, Staging};
 
 use super::fit;
@@ -134,14 +134,14 @@ impl Demo {
     ) -> Result<(), Failure> {
         let seed = seed(session);
         let (train, novel) = (self.views, self.views.div_ceil(TRAIN_PER_NOVEL));
-        let of_shots = ShotOptions { seed, train, novel, ..ShotOptions::default() };
+        let of_shots = PanoramaOptions { seed, train, novel, ..PanoramaOptions::default() };
         let of_views = RenderOptions { seed, ..RenderOptions::default() };
         let recipe = format!("texir {}\n{of_flat:?}\n{of_shots:?}\n{of_views:?}\n", env!("CARGO_PKG_VERSION"));
         if was_stopped && std::fs::read_to_string(folder.join(RECIPE)).is_ok_and(|made| made == recipe) {
             session.console.note(&format!("{:>24}  {}", "made already", folder.display()));
             return Ok(());
         }
-        let shots = demo::shots(flat, &of_shots, session.console)?;
+        let shots = demo::panoramas(flat, &of_shots, session.console)?;
         let rendered = demo::render(flat, &shots, &of_views, session.console)?;
         let failed = |e: std::io::Error| Failure::new(format!("{}: cannot be written: {e}", folder.display()));
         let fresh = TempDir::with_prefix_in(".texir-", &self.output).map_err(failed)?;

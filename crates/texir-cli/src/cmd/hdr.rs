@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::hdr::{self, Merged, ResponseChoice, Shot};
+use texir_core::hdr::{self, Frame, Merged, ResponseChoice};
 use texir_core::image_io::{TransferCurve, write_rgb};
 
 use crate::checks::{check_exr, check_outputs};
@@ -25,7 +25,7 @@ pub struct Hdr {
     /// How the camera's values stand for light: estimate (from the shots), srgb, linear or gamma=2.2
     #[arg(long, value_name = "CURVE", value_parser = response, default_value = "estimate")]
     response: ResponseChoice,
-    /// Exposure times in the order of the shots, such as 1/1000,1/60,1/4: instead of EXIF, at one aperture and ISO
+    /// Frame times in the order of the shots, such as 1/1000,1/60,1/4: instead of EXIF, at one aperture and ISO
     #[arg(long, value_name = "SECONDS", value_delimiter = ',')]
     times: Vec<Seconds>,
 }
@@ -109,7 +109,7 @@ impl Hdr {
         })
     }
 
-    fn shots(&self) -> Result<Vec<Shot>, Failure> {
+    fn shots(&self) -> Result<Vec<Frame>, Failure> {
         let (shots, times) = (self.shots.len(), self.times.len());
         if times > 0 && times != shots {
             return Err(Failure::new(format!("--times has {times} values for {shots} shots")));
@@ -119,7 +119,7 @@ impl Hdr {
                 Some(Seconds(time)) => *time,
                 None => hdr::read_exposure(path)?,
             };
-            Ok(Shot { path: path.clone(), exposure })
+            Ok(Frame { path: path.clone(), exposure })
         };
         self.shots.iter().enumerate().map(exposure).collect()
     }

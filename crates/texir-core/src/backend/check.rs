@@ -9,7 +9,7 @@ use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::specular_table::TableSampling;
-use crate::texture::{Footprints, Pyramid, Rows};
+use crate::texture::{Footprints, Pyramid, SparseRows};
 
 /// That a slice has as many items as expected.
 fn sized(what: &str, found: usize, expected: usize) -> Result<()> {
@@ -144,7 +144,7 @@ pub fn group_loss(values: &[f32], channels: usize, groups: &Groups, target: Grou
 }
 
 /// That the texture has the size of the pyramid's finest level, and that footprints lie in the pyramid.
-pub fn lookup(pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<()> {
+pub fn lookup(pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &SparseRows) -> Result<()> {
     counted(channels)?;
     sized("texture of lookup", texture.len(), texels(pyramid) * channels)?;
     lists(footprints)?;
@@ -171,7 +171,7 @@ fn counted(channels: usize) -> Result<()> {
 }
 
 /// That offsets ascend to the number of taps.
-fn lists(rows: &Rows) -> Result<()> {
+fn lists(rows: &SparseRows) -> Result<()> {
     if rows.offsets.is_sorted() && rows.offsets.last().is_some_and(|&n| n as usize == rows.taps.len()) {
         return Ok(());
     }

@@ -3,14 +3,14 @@
 use rayon::prelude::*;
 
 use crate::real::Real;
-use crate::texture::{Footprints, Pyramid, Rows};
+use crate::texture::{Footprints, Pyramid, SparseRows};
 
 /// Items per task of a parallel loop.
 const BLOCK: usize = 1024;
 
 /// y = rows · x, with `channels` interleaved numbers per item. Used forward with footprint rows and backward with
 /// columns: the same gather. `source` yields the numbers of an item.
-fn gather<'a, R: Real>(rows: &Rows, channels: usize, source: impl Fn(usize) -> &'a [R] + Sync) -> Vec<R> {
+fn gather<'a, R: Real>(rows: &SparseRows, channels: usize, source: impl Fn(usize) -> &'a [R] + Sync) -> Vec<R> {
     let mut out = vec![R::of(0.0); rows.len() * channels];
     let sum = |(row, sum): (usize, &mut [R])| {
         for tap in rows.row(row) {
@@ -77,7 +77,7 @@ pub fn reduce_vjp<R: Real>(pyramid: &Pyramid, mut d_all: Vec<R>, channels: usize
 }
 
 /// Looked-up values, `channels` per footprint; 0 for an empty footprint. Only levels that footprints touch are made.
-pub fn lookup<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize, footprints: &Rows) -> Vec<R> {
+pub fn lookup<R: Real>(pyramid: &Pyramid, texture: &[R], channels: usize, footprints: &SparseRows) -> Vec<R> {
     let last = footprints.taps.par_iter().map(|tap| tap.texel as usize).max().unwrap_or(0);
     let levels = pyramid.levels.partition_point(|level| level.offset <= last);
     let above = reduce(pyramid, texture, channels, levels);

@@ -43,7 +43,7 @@ use crate::scene::Scene;
 use crate::scene::trace::TraceHit;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint, TexelHit};
-use crate::texture::{Footprints, Pyramid, Rows};
+use crate::texture::{Footprints, Pyramid, SparseRows};
 use lighting::Lighting;
 use shade::{MaterialIn, ShadedIn};
 
@@ -251,7 +251,13 @@ impl Backend for CpuBackend {
         Ok(Loss { value, gradient })
     }
 
-    fn lookup(&mut self, pyramid: &Pyramid, texture: &[f32], channels: usize, footprints: &Rows) -> Result<Vec<f32>> {
+    fn lookup(
+        &mut self,
+        pyramid: &Pyramid,
+        texture: &[f32],
+        channels: usize,
+        footprints: &SparseRows,
+    ) -> Result<Vec<f32>> {
         check::lookup(pyramid, texture, channels, footprints)?;
         Ok(lookup::lookup(pyramid, texture, channels, footprints))
     }

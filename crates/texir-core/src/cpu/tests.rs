@@ -18,7 +18,7 @@ use crate::progress::Silent;
 use crate::real::{Dual, Real};
 use crate::rng::{hash, hash2, sobol2};
 use crate::scene::trace::{Exhaustive, Trace};
-use crate::texture::{Rows, Tap};
+use crate::texture::{SparseRows, Tap};
 
 /// A closed box [0, 1]³ seen from inside; each wall has its own sixth of the atlas.
 fn box_room() -> Mesh {
@@ -219,7 +219,7 @@ fn lookup_vjp_is_the_transpose_of_lookup() {
             .collect();
         texels.iter().map(|&t| Tap { texel: t as u32, weight: 1.0 / (1.0 + t as f32) }).collect()
     };
-    let footprints = Footprints::new(Rows::from_lists((0..7).map(taps)));
+    let footprints = Footprints::new(SparseRows::from_lists((0..7).map(taps)));
     let random = |n: usize, s: u32| -> Vec<f64> {
         (0..n as u32).map(|i| f64::from(hash2(i, s)) / f64::from(u32::MAX) - 0.5).collect()
     };

@@ -21,7 +21,7 @@ const ATTEMPTS: usize = 40;
 
 /// How many panoramas, and how large.
 #[derive(Clone, Copy, Debug)]
-pub struct ShotOptions {
+pub struct PanoramaOptions {
     /// Places and turns follow from it.
     pub seed: u64,
     /// Panoramas for the fit; at least one a room.
@@ -32,7 +32,7 @@ pub struct ShotOptions {
     pub height: usize,
 }
 
-impl Default for ShotOptions {
+impl Default for PanoramaOptions {
     fn default() -> Self {
         Self { seed: 1, train: 12, novel: 6, height: 128 }
     }
@@ -40,7 +40,7 @@ impl Default for ShotOptions {
 
 /// A camera to render.
 #[derive(Clone, Debug)]
-pub struct Shot {
+pub struct Panorama {
     /// File stem.
     pub name: String,
     /// Pose and projection.
@@ -52,7 +52,7 @@ pub struct Shot {
 }
 
 /// Places panoramas in all rooms, away from surfaces and from each other. Training views come first.
-pub fn shots(flat: &Flat, options: &ShotOptions, progress: &dyn Progress) -> Result<Vec<Shot>> {
+pub fn panoramas(flat: &Flat, options: &PanoramaOptions, progress: &dyn Progress) -> Result<Vec<Panorama>> {
     if options.train < flat.rooms.len() || options.height == 0 {
         let (rooms, train, height) = (flat.rooms.len(), options.train, options.height);
         return Err(Error::invalid(format!(
@@ -61,7 +61,7 @@ pub fn shots(flat: &Flat, options: &ShotOptions, progress: &dyn Progress) -> Res
     }
     let world = World::new(flat)?;
     let mut random = Random::new(options.seed, 3);
-    let mut all: Vec<Shot> = Vec::new();
+    let mut all: Vec<Panorama> = Vec::new();
     progress.start("demo: cameras", (options.train + options.novel) as u64, "views");
     for (split, count) in [(Split::Train, options.train), (Split::Novel, options.novel)] {
         for room in share(&flat.rooms, count) {
@@ -86,7 +86,7 @@ pub fn shots(flat: &Flat, options: &ShotOptions, progress: &dyn Progress) -> Res
                 world_from_camera,
             };
             let name = format!("pano_{:03}", all.len());
-            all.push(Shot { name, camera, split, room_id: room.id });
+            all.push(Panorama { name, camera, split, room_id: room.id });
             progress.advance(1);
         }
     }
@@ -111,7 +111,7 @@ fn share(rooms: &[Room], count: usize) -> Vec<&Room> {
 }
 
 /// The free place in the room that is farthest from the cameras so far, among a few tried.
-fn place(world: &World, room: &Room, others: &[Shot], random: &mut Random) -> Result<Vec3> {
+fn place(world: &World, room: &Room, others: &[Panorama], random: &mut Random) -> Result<Vec3> {
     let mut best: Option<(f32, Vec3)> = None;
     let mut free = 0;
     for attempt in 0..20 * ATTEMPTS {

@@ -23,7 +23,7 @@ mod write;
 #[cfg(test)]
 mod tests;
 
-pub use cameras::{Shot, ShotOptions, shots};
+pub use cameras::{Panorama, PanoramaOptions, panoramas};
 pub use layout::{Room, RoomKind};
 pub use options::RenderOptions;
 pub use pathtrace::{Rendered, render};

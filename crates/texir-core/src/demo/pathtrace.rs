@@ -14,7 +14,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::Flat;
-use super::cameras::Shot;
+use super::cameras::Panorama;
 use super::irradiance;
 use super::options::RenderOptions;
 use super::random::{Sample, stream};
@@ -30,7 +30,7 @@ const FIRST_LIGHTS: usize = 6;
 #[derive(Clone, Debug)]
 pub struct Rendered {
     /// The camera.
-    pub shot: Shot,
+    pub shot: Panorama,
     /// Linear radiance, box-filtered over the pixel.
     pub image: Rgb,
     /// Linear albedo at the pixel centre.
@@ -46,7 +46,12 @@ pub struct Rendered {
 }
 
 /// Solves the light and renders all shots. Deterministic for the options, whatever the number of threads.
-pub fn render(flat: &Flat, shots: &[Shot], options: &RenderOptions, progress: &dyn Progress) -> Result<Vec<Rendered>> {
+pub fn render(
+    flat: &Flat,
+    shots: &[Panorama],
+    options: &RenderOptions,
+    progress: &dyn Progress,
+) -> Result<Vec<Rendered>> {
     for (field, value) in [
         ("pixel_samples", options.pixel_samples),
         ("light_samples", options.light_samples),
@@ -83,7 +88,7 @@ struct Light<'a> {
 }
 
 impl Light<'_> {
-    fn view(&self, index: usize, shot: &Shot, progress: &dyn Progress) -> Result<Rendered> {
+    fn view(&self, index: usize, shot: &Panorama, progress: &dyn Progress) -> Result<Rendered> {
         let (width, height) = (shot.camera.width, shot.camera.height);
         let mut pixels = Vec::with_capacity(width * height);
         let rows_at_once = (4096 / width).max(1);
@@ -112,7 +117,7 @@ impl Light<'_> {
         })
     }
 
-    fn pixel(&self, shot: &Shot, x: usize, y: usize, seed: u32) -> Pixel {
+    fn pixel(&self, shot: &Panorama, x: usize, y: usize, seed: u32) -> Pixel {
         let camera = &shot.camera;
         let origin = camera.position();
         let mut image = Vec3::ZERO;

@@ -36,14 +36,14 @@ fn closed_box(paint: Paint, more: impl Fn(&mut Vec<Chart>)) -> Flat {
     atlas::build(charts, vec![room], &options).unwrap()
 }
 
-fn panorama(position: Vec3, height: usize) -> Shot {
+fn panorama(position: Vec3, height: usize) -> Panorama {
     let camera = Camera {
         projection: Projection::Equirectangular,
         width: 2 * height,
         height,
         world_from_camera: Mat4::from_translation(position),
     };
-    Shot { name: "pano".into(), camera, split: Split::Train, room_id: 1 }
+    Panorama { name: "pano".into(), camera, split: Split::Train, room_id: 1 }
 }
 
 #[test]
@@ -70,9 +70,9 @@ fn charts_share_no_texel_and_keep_their_distance() {
 /// The share of rays, over two bounces from where cameras may stand, that meet nothing, and that meet a back.
 fn misses_and_backs(flat: &Flat) -> (f64, f64) {
     let world = World::new(flat).unwrap();
-    let options = ShotOptions { train: 8, novel: 0, ..ShotOptions::default() };
+    let options = PanoramaOptions { train: 8, novel: 0, ..PanoramaOptions::default() };
     let (mut rays, mut misses, mut backs) = (0, 0, 0);
-    for shot in shots(flat, &options, &Silent).unwrap() {
+    for shot in panoramas(flat, &options, &Silent).unwrap() {
         for i in 0..4096 {
             let mut sample = Sample::new(7, i);
             let [u, v] = sample.pair();
@@ -143,7 +143,7 @@ fn options_out_of_range_are_refused() {
         assert!(Flat::generate(&options).is_err(), "{options:?}");
     }
     let flat = small(1, 3);
-    assert!(shots(&flat, &ShotOptions { train: 2, ..ShotOptions::default() }, &Silent).is_err());
+    assert!(panoramas(&flat, &PanoramaOptions { train: 2, ..PanoramaOptions::default() }, &Silent).is_err());
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn a_seed_gives_the_same_images_on_any_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let flat = Flat::generate(&FlatOptions { seed, atlas: 256, ..FlatOptions::default() }).unwrap();
-            let cameras = shots(&flat, &ShotOptions { height: 8, train: 3, novel: 0, seed }, &Silent).unwrap();
+            let cameras = panoramas(&flat, &PanoramaOptions { height: 8, train: 3, novel: 0, seed }, &Silent).unwrap();
             let options =
                 RenderOptions { seed, pixel_samples: 2, light_samples: 2, gather_rays: 4, specular_bounces: 2 };
             let views = render(&flat, &cameras, &options, &Silent).unwrap();
@@ -251,7 +251,7 @@ fn a_seed_gives_the_same_images_on_any_number_of_threads() {
 #[test]
 fn what_is_written_loads_as_a_capture() {
     let flat = Flat::generate(&FlatOptions { atlas: 256, ..FlatOptions::default() }).unwrap();
-    let cameras = shots(&flat, &ShotOptions { height: 8, train: 3, novel: 1, seed: 2 }, &Silent).unwrap();
+    let cameras = panoramas(&flat, &PanoramaOptions { height: 8, train: 3, novel: 1, seed: 2 }, &Silent).unwrap();
     let options = RenderOptions { seed: 2, pixel_samples: 1, light_samples: 1, gather_rays: 1, specular_bounces: 1 };
     let views = render(&flat, &cameras, &options, &Silent).unwrap();
     let folder = tempfile::tempdir().unwrap();

@@ -25,7 +25,7 @@ const BLACK: f32 = 0.01;
 
 /// One exposure of a series.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shot {
+pub struct Frame {
     /// 8 or 16-bit image.
     pub path: PathBuf,
     /// Light per radiance, relative: seconds · ISO / (100 · f-number²).
@@ -67,7 +67,7 @@ fn sensor_variance(light: f64) -> f64 {
 }
 
 /// Merges shots of one pose; their order does not matter.
-pub fn merge(shots: &[Shot], choice: ResponseChoice, progress: &dyn Progress) -> Result<Merged> {
+pub fn merge(shots: &[Frame], choice: ResponseChoice, progress: &dyn Progress) -> Result<Merged> {
     let (width, height) = check(shots)?;
     let positions = sample_positions(width, height);
     let samples = read_samples(shots, &positions, progress)?;
@@ -91,7 +91,7 @@ pub fn merge(shots: &[Shot], choice: ResponseChoice, progress: &dyn Progress) ->
 }
 
 /// The size that all shots have.
-fn check(shots: &[Shot]) -> Result<(usize, usize)> {
+fn check(shots: &[Frame]) -> Result<(usize, usize)> {
     let [first, rest @ ..] = shots else { return Err(Error::invalid("no shots; expected a bracketed series")) };
     for shot in shots {
         if !(shot.exposure > 0.0 && shot.exposure.is_finite()) {
@@ -114,7 +114,7 @@ fn check(shots: &[Shot]) -> Result<(usize, usize)> {
     Ok(size)
 }
 
-fn load(shot: &Shot, size: (usize, usize)) -> Result<Encoded> {
+fn load(shot: &Frame, size: (usize, usize)) -> Result<Encoded> {
     let encoded = read_encoded(&shot.path)?;
     if encoded.values.size() == size { Ok(encoded) } else { Err(changed(&shot.path)) }
 }
@@ -135,7 +135,7 @@ fn sample_positions(width: usize, height: usize) -> Vec<usize> {
 }
 
 /// The values of all shots at some pixels: `[pixel][shot]`.
-fn read_samples(shots: &[Shot], positions: &[usize], progress: &dyn Progress) -> Result<Vec<Vec<[f32; 3]>>> {
+fn read_samples(shots: &[Frame], positions: &[usize], progress: &dyn Progress) -> Result<Vec<Vec<[f32; 3]>>> {
     let mut samples = vec![Vec::with_capacity(shots.len()); positions.len()];
     progress.start("hdr: looking", shots.len() as u64, "shots");
     for shot in shots {

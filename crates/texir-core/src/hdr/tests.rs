@@ -114,13 +114,13 @@ fn png(values: &[u16], exif: &[u8]) -> Vec<u8> {
 }
 
 /// The series in a folder, exposures from its EXIF.
-fn series(scene_of: impl Fn(usize) -> Rgb, curve: Curve) -> (TempDir, Vec<Shot>) {
+fn series(scene_of: impl Fn(usize) -> Rgb, curve: Curve) -> (TempDir, Vec<Frame>) {
     let folder = tempfile::tempdir().unwrap();
     let mut random = Random(7);
     let shots = TIMES.iter().enumerate().map(|(i, time)| {
         let path = folder.path().join(format!("shot_{i}.png"));
         std::fs::write(&path, photo(&scene_of(i), *time, curve, &mut random)).unwrap();
-        Shot { exposure: read_exposure(&path).unwrap(), path }
+        Frame { exposure: read_exposure(&path).unwrap(), path }
     });
     let shots = shots.collect();
     (folder, shots)
@@ -184,7 +184,7 @@ fn a_wrong_response_shows() {
 fn merging_is_less_noisy_than_its_best_shot() {
     let (_folder, shots) = series(|_| scene(), srgb);
     let choice = ResponseChoice::Known(TransferCurve::Srgb);
-    let rms = |shots: &[Shot]| {
+    let rms = |shots: &[Frame]| {
         let merged = merge(shots, choice, &Silent).unwrap();
         let (_, pixels) = ratios(&merged.radiance, &scene());
         // Patches in the middle of the range: neither of the two shots clips them.
@@ -287,20 +287,20 @@ fn a_missing_or_useless_exif_field_is_an_error_that_names_it() {
 #[test]
 fn series_that_cannot_be_merged_are_errors() {
     let (folder, shots) = series(|_| scene(), srgb);
-    let message = |shots: &[Shot], choice| merge(shots, choice, &Silent).unwrap_err().to_string();
+    let message = |shots: &[Frame], choice| merge(shots, choice, &Silent).unwrap_err().to_string();
     let known = ResponseChoice::Known(TransferCurve::Srgb);
     assert!(message(&[], known).contains("no shots"));
-    let same: Vec<Shot> = shots.iter().map(|s| Shot { exposure: 1.0, ..s.clone() }).collect();
+    let same: Vec<Frame> = shots.iter().map(|s| Frame { exposure: 1.0, ..s.clone() }).collect();
     assert!(message(&same, known).contains("same exposure"));
     let mut odd = shots.clone();
     odd[1].exposure = f64::NAN;
     assert!(message(&odd, known).contains("shot_1.png"));
     let other = folder.path().join("other.png");
     crate::image_io::write_png_gray(&other, &Raster::filled(2, 2, 0.5)).unwrap();
-    odd[1] = Shot { path: other, exposure: 1.0 };
+    odd[1] = Frame { path: other, exposure: 1.0 };
     assert!(message(&odd, known).contains("(2, 2)"));
     // Two shots without a pixel in common.
-    let far = [shots[0].clone(), Shot { exposure: 1e9, ..shots[6].clone() }];
+    let far = [shots[0].clone(), Frame { exposure: 1e9, ..shots[6].clone() }];
     let dark = |_| Rgb::filled(WIDTH, HEIGHT, [1e-4 / exposure(TIMES[6]) as f32; 3]);
     let (_folder, dark) = series(dark, srgb);
     assert!(message(&dark, ResponseChoice::Estimate).contains("--response"));

@@ -13,7 +13,7 @@ use exr::prelude::{Encoding, FlatImage, FlatSamples, LayerAttributes, MetaData, 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Rows, bytes_of, check_size, most_memory, primaries};
+use super::{ImageRows, bytes_of, check_size, most_memory, primaries};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
@@ -188,17 +188,17 @@ fn sample(samples: &FlatSamples, index: usize) -> f32 {
 }
 
 /// Writes linear RGB as OpenEXR: R, G, B, 32-bit float, ZIP.
-pub fn write_rgb<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
+pub fn write_rgb<'a>(path: impl AsRef<Path>, image: impl Into<ImageRows<'a, 3>>) -> Result<()> {
     write(path.as_ref(), image.into(), [("B", 2), ("G", 1), ("R", 0)])
 }
 
 /// Writes one linear channel as OpenEXR: Y, 32-bit float, ZIP.
-pub fn write_gray<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 1>>) -> Result<()> {
+pub fn write_gray<'a>(path: impl AsRef<Path>, image: impl Into<ImageRows<'a, 1>>) -> Result<()> {
     write(path.as_ref(), image.into(), [("Y", 0)])
 }
 
 /// Writes channels, in the order of their names, by their places in a pixel.
-fn write<const N: usize>(path: &Path, image: Rows<'_, N>, channels: [(&str, usize); N]) -> Result<()> {
+fn write<const N: usize>(path: &Path, image: ImageRows<'_, N>, channels: [(&str, usize); N]) -> Result<()> {
     let Encoding { compression, line_order, .. } = Encoding::SMALL_LOSSLESS;
     let order = channels.map(|(_, place)| place);
     let list = channels.iter().map(|(name, _)| ChannelDescription::named(*name, SampleType::F32)).collect();

@@ -5,17 +5,17 @@ use std::path::Path;
 
 use image::codecs::hdr::HdrEncoder;
 
-use super::Rows;
+use super::ImageRows;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 
 /// Writes linear RGB as Radiance HDR.
-pub fn write_hdr<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
+pub fn write_hdr<'a>(path: impl AsRef<Path>, image: impl Into<ImageRows<'a, 3>>) -> Result<()> {
     write_atomic(path, |sink| encode_hdr(image, sink))
 }
 
 /// Encodes linear RGB as Radiance HDR.
-pub fn encode_hdr<'a>(image: impl Into<Rows<'a, 3>>, mut sink: impl Write) -> Result<()> {
+pub fn encode_hdr<'a>(image: impl Into<ImageRows<'a, 3>>, mut sink: impl Write) -> Result<()> {
     let image = image.into();
     let [width, height] = image.size();
     image.each(|rows, pixels| {

@@ -7,7 +7,7 @@ use half::f16;
 use ktx2::dfd::{Basic, Block};
 use ktx2::{Format, Header, Index, LevelIndex};
 
-use super::Rows;
+use super::ImageRows;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 
@@ -16,7 +16,7 @@ pub const BRIGHTEST_HALF: f32 = 65504.0;
 
 /// Writes linear RGB as uncompressed R16G16B16A16_SFLOAT, one level, alpha 1. Values above [`BRIGHTEST_HALF`] take that
 /// one.
-pub fn write_ktx2<'a>(path: impl AsRef<Path>, image: impl Into<Rows<'a, 3>>) -> Result<()> {
+pub fn write_ktx2<'a>(path: impl AsRef<Path>, image: impl Into<ImageRows<'a, 3>>) -> Result<()> {
     const FORMAT: Format = Format::R16G16B16A16_SFLOAT;
     const TEXEL_BYTES: usize = 8;
     let (path, image) = (path.as_ref(), image.into());

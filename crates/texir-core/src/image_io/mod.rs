@@ -22,7 +22,7 @@ pub use self::exr::{write_gray, write_rgb};
 pub use self::hdr::{encode_hdr, write_hdr};
 pub use self::ktx2::{BRIGHTEST_HALF, write_ktx2};
 pub use self::png::{encode_png, write_png_gray, write_png_labels, write_png_mask, write_png_rgb};
-pub use self::rows::Rows;
+pub use self::rows::ImageRows;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 

@@ -15,12 +15,12 @@ const BAND: usize = 64;
 type Make<'a, const N: usize> = dyn FnMut(Range<usize>) -> Result<Cow<'a, [[f32; N]]>> + 'a;
 
 /// An image of `N` channels that is made from its top to its bottom, some rows at a time.
-pub struct Rows<'a, const N: usize> {
+pub struct ImageRows<'a, const N: usize> {
     size: [usize; 2],
     make: Box<Make<'a, N>>,
 }
 
-impl<'a, const N: usize> Rows<'a, N> {
+impl<'a, const N: usize> ImageRows<'a, N> {
     /// An image of `[width, height]` pixels; `make` yields those of some rows, row by row.
     pub fn new(size: [usize; 2], mut make: impl FnMut(Range<usize>) -> Result<Vec<[f32; N]>> + 'a) -> Self {
         Self { size, make: Box::new(move |rows| Ok(Cow::Owned(make(rows)?))) }
@@ -46,13 +46,13 @@ impl<'a, const N: usize> Rows<'a, N> {
     }
 }
 
-impl<'a> From<&'a Rgb> for Rows<'a, 3> {
+impl<'a> From<&'a Rgb> for ImageRows<'a, 3> {
     fn from(image: &'a Rgb) -> Self {
         Self::of([image.width, image.height], &image.data)
     }
 }
 
-impl<'a> From<&'a Gray> for Rows<'a, 1> {
+impl<'a> From<&'a Gray> for ImageRows<'a, 1> {
     fn from(image: &'a Gray) -> Self {
         Self::of([image.width, image.height], cast_slice(&image.data))
     }

@@ -9,7 +9,7 @@ use crate::cpu::CpuBackend;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::rng::hash2;
-use crate::texture::Rows;
+use crate::texture::SparseRows;
 
 const ALBEDO: f32 = 0.5;
 const IRRADIANCE: f32 = 0.8;
@@ -144,7 +144,7 @@ fn mipmapped_textures_are_looked_up_as_by_a_backend() {
     let [pyramid, finer] = [(16, 8), (32, 16)].map(|size| renderer.pyramid(size).unwrap());
     let hits = backend.primary(&camera(), camera().rows()).unwrap();
     let seen: Vec<u32> = (0..camera().pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
-    let rows = |of| Rows::of_pixels(of, scene.mesh(), &camera(), 1, |i| hits[i], &seen);
+    let rows = |of| SparseRows::of_pixels(of, scene.mesh(), &camera(), 1, |i| hits[i], &seen);
     // Coarse levels are seen.
     assert!(rows(&pyramid).taps.iter().any(|tap| tap.texel >= 128 + 32));
     let mut look_up = |of, texture: &[f32], channels| backend.lookup(of, texture, channels, &rows(of)).unwrap();

@@ -24,7 +24,7 @@ use crate::backend::Backend;
 use crate::error::Result;
 use crate::inpaint;
 use crate::raster::mean_of_channels;
-use crate::texture::{Rows, Tap, merge};
+use crate::texture::{SparseRows, Tap, merge};
 
 /// Richardson–Lucy iterations for texels: what is a pixel wide is sharp after about ten, what is a fraction of it after
 /// some more, and noise after many.
@@ -113,7 +113,7 @@ pub(super) struct Explained {
     /// View of each pixel, and index in its image.
     place: Vec<(usize, usize)>,
     /// Shares of `texels` in each pixel.
-    rows: Rows,
+    rows: SparseRows,
 }
 
 /// The texels that explain what pixels show, where these texels are `sources`.
@@ -139,7 +139,7 @@ pub(super) fn explained(
         taps.push(numbered.collect::<Vec<Tap>>());
     }
     let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
-    let rows = Rows::from_lists(taps);
+    let rows = SparseRows::from_lists(taps);
     let parts = parts_of_lamps(fusion, joined, sources, &texels, (&place, &rows));
     let start = explain_parts(&rows, &seen, start, &parts, inpaint::source_limit(blended));
     let radiance = explain(&rows, &seen, &vec![Vec3::ZERO; rows.len()], &start, ITERATIONS);
@@ -163,7 +163,7 @@ fn parts_of_lamps(
     joined: &Joined,
     sources: &[bool],
     texels: &[u32],
-    (place, rows): (&[(usize, usize)], &Rows),
+    (place, rows): (&[(usize, usize)], &SparseRows),
 ) -> Vec<Membership> {
     let part = |texel: usize| joined.part(fusion.atlas.points[texel].triangle);
     let mut counts: HashMap<u32, [u32; 2]> = HashMap::new();
@@ -200,7 +200,7 @@ fn parts_of_lamps(
 /// `start`. What is beside parts is taken as it is in `start`, but below `limit` where it is no lamp: what glows there,
 /// the lamp lends it.
 fn explain_parts(
-    rows: &Rows,
+    rows: &SparseRows,
     seen: &[Vec3],
     mut start: Vec<Option<Vec3>>,
     parts: &[Membership],
@@ -233,7 +233,7 @@ fn explain_parts(
     };
     let (taps, pixels): (Vec<_>, Vec<_>) = (0..rows.len()).filter_map(of_parts).unzip();
     let (seen, beside): (Vec<Vec3>, Vec<Vec3>) = pixels.into_iter().unzip();
-    let explained = explain(&Rows::from_lists(taps), &seen, &beside, &vec![None; number.len()], PART_ITERATIONS);
+    let explained = explain(&SparseRows::from_lists(taps), &seen, &beside, &vec![None; number.len()], PART_ITERATIONS);
     for (start, part) in start.iter_mut().zip(parts) {
         if let Membership::Part(part) = part {
             *start = Some(explained[number[part] as usize]);
@@ -244,9 +244,9 @@ fn explain_parts(
 
 /// Richardson–Lucy: the texels whose means over `rows` are the pixels `seen` less what is known to be `beside` them,
 /// from `start` (from what the pixels show, where there is none).
-fn explain(rows: &Rows, seen: &[Vec3], beside: &[Vec3], start: &[Option<Vec3>], iterations: usize) -> Vec<Vec3> {
+fn explain(rows: &SparseRows, seen: &[Vec3], beside: &[Vec3], start: &[Option<Vec3>], iterations: usize) -> Vec<Vec3> {
     let columns = rows.transposed(start.len());
-    let gather = |matrix: &Rows, values: &[Vec3]| -> Vec<Vec3> {
+    let gather = |matrix: &SparseRows, values: &[Vec3]| -> Vec<Vec3> {
         let row = |i| matrix.row(i).iter().map(|tap| values[tap.texel as usize] * tap.weight).sum();
         (0..matrix.len()).into_par_iter().map(row).collect()
     };
@@ -295,7 +295,7 @@ mod tests {
             let noise = 1.0 + 0.2 * (random(pixel, 2) - 0.5);
             seen.push(Vec3::splat(noise * (100.0 * shares[0] + 0.5 * (shares[1] + shares[2]))));
         }
-        let rows = Rows::from_lists(rows);
+        let rows = SparseRows::from_lists(rows);
         let of_group =
             |values: [f32; 3]| (0..3 * TEXELS).map(|t| Some(Vec3::splat(values[(t / TEXELS) as usize]))).collect();
         let blended: Vec<Option<Vec3>> = of_group([40.0, 30.0, 5.0]);
@@ -320,7 +320,7 @@ mod tests {
     #[test]
     fn black_stays_black() {
         let tap = |texel| Tap { texel, weight: 0.5 };
-        let rows = Rows::from_lists([vec![tap(0), tap(1)]]);
+        let rows = SparseRows::from_lists([vec![tap(0), tap(1)]]);
         let black = vec![Some(Vec3::ZERO); 2];
         let start = explain_parts(&rows, &[Vec3::ZERO], black, &[Membership::Part(7), Membership::Beside], 0.0);
         assert!(

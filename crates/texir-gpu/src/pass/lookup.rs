@@ -3,7 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use texir_core::error::Result;
-use texir_core::texture::{Footprints, Pyramid, Rows, Tap};
+use texir_core::texture::{Footprints, Pyramid, SparseRows, Tap};
 
 use super::WORKGROUP;
 use super::mip::{Direction, Levels};
@@ -33,13 +33,13 @@ pub(crate) struct LookupCache {
 }
 
 /// One gather, ready to be recorded: its kernel, bind groups per range of taps, and workgroups.
-struct Gathering {
+struct Dispatches {
     kernel: std::sync::Arc<crate::kernel::Kernel>,
     steps: Vec<Vec<wgpu::BindGroup>>,
     workgroups: usize,
 }
 
-impl Gathering {
+impl Dispatches {
     fn record(&self, pass: &mut wgpu::ComputePass) {
         for groups in &self.steps {
             self.kernel.record(pass, groups, self.workgroups);
@@ -51,11 +51,11 @@ impl Gathering {
 fn gathering(
     ctx: &mut Context,
     cache: &mut LookupCache,
-    rows: &Rows,
+    rows: &SparseRows,
     channels: usize,
     (source, destination): (&View, &View),
     touched: Option<&[u32]>,
-) -> Result<Gathering> {
+) -> Result<Dispatches> {
     let kernel = ctx.kernel("lookup", if touched.is_some() { "lookup_vjp" } else { "lookup" }, None)?;
     let offsets = cache.offsets.get(&ctx.gpu, "footprint offsets", &rows.offsets)?;
     let taps = cache.taps.get(&ctx.gpu, "footprint taps", &rows.taps)?;
@@ -75,7 +75,7 @@ fn gathering(
         resources.extend(touched.as_ref().map(|t| ("touched", t.binding())));
         steps.push(kernel.bind(ctx.gpu.device(), &resources)?);
     }
-    Ok(Gathering { kernel, steps, workgroups: (rows.len() * channels).div_ceil(WORKGROUP) })
+    Ok(Dispatches { kernel, steps, workgroups: (rows.len() * channels).div_ceil(WORKGROUP) })
 }
 
 fn coverage(ctx: &Context, cache: &mut LookupCache, pyramid: &Pyramid) -> Result<View> {
@@ -89,7 +89,7 @@ pub(crate) fn run(
     pyramid: &Pyramid,
     texture: &[f32],
     channels: usize,
-    footprints: &Rows,
+    footprints: &SparseRows,
 ) -> Result<Vec<f32>> {
     let count = footprints.len() * channels;
     let coverage = coverage(ctx, cache, pyramid)?;

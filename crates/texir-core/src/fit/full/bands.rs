@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::share::Share;
-use crate::texture::Rows;
+use crate::texture::SparseRows;
 
 /// Texels of a band: their sums fit in a processor's cache, and few footprints lie across the edge of a band.
 const BAND: usize = 1 << 15;
@@ -22,7 +22,7 @@ pub struct Bands {
 
 impl Bands {
     /// The bands of `texels` texels that pixels with the footprints `rows` see.
-    pub fn new(rows: &Rows<Share>, texels: usize) -> Self {
+    pub fn new(rows: &SparseRows<Share>, texels: usize) -> Self {
         let mut pixels = vec![Vec::new(); texels.div_ceil(BAND)];
         for pixel in 0..rows.len() {
             for share in rows.row(pixel) {
@@ -40,7 +40,7 @@ impl Bands {
     /// values.
     pub fn sum<T: Clone + Send + Sync, V>(
         &self,
-        rows: &Rows<Share>,
+        rows: &SparseRows<Share>,
         zero: T,
         value: impl Fn(usize) -> V + Sync,
         add: impl Fn(&mut T, &Share, &V) + Sync,
@@ -82,7 +82,7 @@ mod tests {
             };
             Share::of(std::array::from_fn(|s| taps(s as u32).collect()))
         };
-        let rows = Rows::from_lists((0..500).map(footprint));
+        let rows = SparseRows::from_lists((0..500).map(footprint));
         let value = |pixel: usize| 0.1 + pixel as f32;
         let sums =
             Bands::new(&rows, texels).sum(&rows, 0.0f32, value, |sum, share, value| *sum += share.weight() * value);

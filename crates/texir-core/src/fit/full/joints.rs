@@ -19,7 +19,7 @@ use crate::fit::adjacency::NONE;
 use crate::fit::settings::{JointSettings, OwnSettings, RoughnessSettings};
 use crate::progress::Progress;
 use crate::specular_table::{NODES, node};
-use crate::texture::Rows;
+use crate::texture::SparseRows;
 
 /// Albedo of a black line, so that its logarithm stays finite.
 const BLACK: f32 = 0.01;
@@ -111,7 +111,7 @@ impl Lines {
     }
 
     /// The group that a pixel of `segment` sees most of, and its share.
-    fn seen(&self, rows: &Rows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
+    fn seen(&self, rows: &SparseRows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
         let mut shares = [0.0; 2];
         for share in rows.row(pixel) {
             if let Some(covered) = self.covered[share.texel as usize] {
@@ -124,12 +124,12 @@ impl Lines {
     }
 
     /// The group that a pixel of `segment` has to judge, and its share.
-    fn judged(&self, rows: &Rows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
+    fn judged(&self, rows: &SparseRows<Share>, segment: u32, pixel: usize) -> Option<(usize, f32)> {
         self.seen(rows, segment, pixel).filter(|(_, share)| *share >= LEAST && self.ends(rows, pixel) < END)
     }
 
     /// The share of a pixel that ends of boards have.
-    fn ends(&self, rows: &Rows<Share>, pixel: usize) -> f32 {
+    fn ends(&self, rows: &SparseRows<Share>, pixel: usize) -> f32 {
         let of = |share: &Share| {
             self.covered[share.texel as usize]
                 .filter(|covered| covered.is_end)
@@ -140,7 +140,7 @@ impl Lines {
 
     /// The segments of the pixels, [`NONE`] for those that see joints for sure: what these show is not their surface's.
     /// Where that leaves too few of a segment's, all of them stay.
-    pub fn without(&self, rows: &Rows<Share>, segment: &[u32]) -> Vec<u32> {
+    pub fn without(&self, rows: &SparseRows<Share>, segment: &[u32]) -> Vec<u32> {
         /// The share of a segment's pixels that are enough.
         const ENOUGH: f32 = 0.25;
         let sees =
@@ -331,7 +331,7 @@ mod tests {
         let dark = Covered::wholly(Line::Darker);
         let half = Covered::of(Line::Darker, 0.5, 0.5);
         let lines = Lines { covered: vec![None, Some(dark), Some(dark.at_end()), None, half], regular: vec![true; 2] };
-        let rows = Rows::from_lists([pixel(0, 0.3), pixel(0, 0.1), pixel(1, 0.1), pixel(1, 0.02), pixel(3, 0.6)]);
+        let rows = SparseRows::from_lists([pixel(0, 0.3), pixel(0, 0.1), pixel(1, 0.1), pixel(1, 0.02), pixel(3, 0.6)]);
         let judged = [0, 1, 2, 3, 4].map(|p| lines.judged(&rows, 0, p).map(|(_, share)| (100.0 * share).round()));
         assert_eq!(judged, [Some(30.0), None, None, Some(100.0), Some(30.0)]);
         assert_eq!(lines.judged(&rows, NONE, 0), None);
@@ -348,7 +348,7 @@ mod tests {
             regular: vec![true, false, true, false, false, false],
         };
         let pixels = [(0, 0.5), (0, 0.1), (0, 0.0), (2, 0.3), (2, 0.4), (4, 0.9), (0, 0.3)];
-        let rows = Rows::from_lists(pixels.map(|(surface, joint)| pixel(surface, joint)));
+        let rows = SparseRows::from_lists(pixels.map(|(surface, joint)| pixel(surface, joint)));
         // The last shows an edge, and counts for nothing anyway. No pixel of segment 1 is without its joint, so that
         // all stay.
         let segment = [0, 0, 0, 1, 1, 2, NONE];

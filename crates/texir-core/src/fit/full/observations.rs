@@ -26,7 +26,7 @@ use crate::raster::{Mask, Rgb};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, PackedCurve, STRATA};
 use crate::surface::Hit;
-use crate::texture::Rows;
+use crate::texture::SparseRows;
 
 /// The smallest n·v that areas are told at.
 const GRAZING: f32 = 0.05;
@@ -52,7 +52,7 @@ pub struct Observations {
     /// which of them each pixel is part of.
     pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
-    pub rows: Rows<Share>,
+    pub rows: SparseRows<Share>,
     /// Which pixels see what part of the atlas.
     pub bands: Bands,
     /// Whether a pixel sees it, of each texel.

@@ -24,7 +24,7 @@ use crate::raster::Rgb;
 use crate::scene::Scene;
 use crate::specular_table::{NODES, PackedCurve, STRATA, TableSampling};
 use crate::surface::SurfacePoint;
-use crate::texture::{Rows, Tap};
+use crate::texture::{SparseRows, Tap};
 
 /// Edge of the floor's part of the atlas, texels.
 const FLOOR: usize = 8;
@@ -289,7 +289,7 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
         let mut row = Some(shares);
         let rows =
             (0..toy.seen.len()).map(|p| if p == pixel { row.take().unwrap() } else { toy.seen.rows.row(p).to_vec() });
-        toy.seen.rows = Rows::from_lists(rows.collect::<Vec<_>>());
+        toy.seen.rows = SparseRows::from_lists(rows.collect::<Vec<_>>());
         let settings = AlbedoSettings::default();
         let problem = toy.problem(&settings);
         let said = problem.target(&Roughness::Texels(&roughness)).albedo[pixel];

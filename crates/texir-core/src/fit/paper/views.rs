@@ -11,7 +11,7 @@ use crate::fit::Ground;
 use crate::progress::{Progress, Uncounted};
 use crate::raster::Rgb;
 use crate::rng::hash2;
-use crate::texture::{Footprints, Pyramid, Rows};
+use crate::texture::{Footprints, Pyramid, SparseRows};
 
 /// Roughness and samples of the virtual-highlight render (method section 3).
 const HIGHLIGHT_ROUGHNESS: f32 = 0.01;
@@ -82,7 +82,8 @@ impl Surroundings<'_> {
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);
         let fine_hits = backend.primary(&fine, fine.rows())?;
-        let rows = Rows::of_pixels(self.pyramid, scene.mesh(), &fine, self.footprint_samples, |i| fine_hits[i], &used);
+        let rows =
+            SparseRows::of_pixels(self.pyramid, scene.mesh(), &fine, self.footprint_samples, |i| fine_hits[i], &used);
         let irradiance = backend.lookup(self.pyramid, self.irradiance.data.as_flattened(), 3, &rows)?;
         let points: Vec<ShadePoint> = used
             .iter()
