@@ -10,6 +10,7 @@ mod beyond;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use bytesize::ByteSize;
 use glam::{Vec2, Vec3};
 use gltf::binary::{Glb, Header};
 use gltf_json::accessor::{ComponentType, GenericComponentType, Type};
@@ -179,13 +180,7 @@ impl Builder {
             extras: None,
         });
         let json = self.root.to_vec().map_err(|e| Error::cannot_write(path, e))?;
-        // GLB lengths have 32 bits; the headers and the padding are far below a kilobyte.
-        if u32::try_from(json.len() + self.bytes.len() + 1024).is_err() {
-            return Err(Error::file(
-                path,
-                format!("would have {} bytes; a GLB ends at 4 GiB: use a smaller atlas", self.bytes.len()),
-            ));
-        }
+        check_length((json.len() + self.bytes.len()) as u64).map_err(|what| Error::file(path, what))?;
         // The writer computes the length itself.
         let header = Header { magic: *b"glTF", version: 2, length: 0 };
         let glb = Glb { header, json: json.into(), bin: Some(self.bytes.into()) };
@@ -299,6 +294,19 @@ impl Materials<'_> {
     }
 }
 
+/// What is wrong with a GLB of so many bytes of geometry, images and JSON, if it is too long.
+pub(crate) fn check_length(bytes: u64) -> std::result::Result<(), String> {
+    // Lengths have 32 bits; the headers and the padding are far below a kilobyte.
+    match u32::try_from(bytes + 1024) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(format!(
+            "the GLB would have {}, but ends at 4 GiB: its geometry and images are too much for one; simplify the mesh, divide \
+             it, or give it smaller images",
+            ByteSize(bytes)
+        )),
+    }
+}
+
 /// Linear: R unused, G roughness, B metallic.
 fn pack_metallic_roughness(of: &Materials) -> Result<Raster<[u8; 3]>> {
     let level = |v: f32| (v * 255.0).round() as u8;
@@ -324,6 +332,13 @@ mod tests {
 
     use super::*;
     use crate::mesh_io::read_mesh;
+
+    #[test]
+    fn a_glb_ends_at_four_gibibytes() {
+        assert_eq!(check_length(4 * (1 << 30) - 4096), Ok(()));
+        let what = check_length(5 * (1 << 30)).unwrap_err();
+        assert!(what.contains("5.0 GiB") && what.contains("4 GiB"), "{what}");
+    }
 
     fn mesh() -> Mesh {
         Mesh {

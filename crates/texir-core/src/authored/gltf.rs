@@ -22,6 +22,7 @@ use crate::bake::{PADDING, Texels};
 use crate::brdf::DIELECTRIC_SPECULAR;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
+use crate::glb::check_length;
 use crate::image_io::TransferCurve;
 use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
@@ -152,7 +153,12 @@ pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, prog
     let shading = shading(path, &document, reflected, |image, curve| images.place(path, image, &buffers, curve))?;
     // All come along into the baked scene: what cannot is to be known before the bake.
     materials(path, document.as_json().materials.clone(), false)?;
-    document.images().try_for_each(|image| encoded(path, &image, &buffers).map(drop))?;
+    let files: Vec<u64> = document
+        .images()
+        .map(|image| encoded(path, &image, &buffers).map(|file| file.len() as u64))
+        .collect::<Result<_>>()?;
+    let geometry: u64 = parts.iter().map(|part| part.memory() + size_of_val(&part.uvs[0][..]) as u64).sum();
+    check_length(geometry + files.iter().sum::<u64>()).map_err(|what| Error::file(path, what))?;
     let mut model =
         Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
     let mut told = model.without_coordinates();
