@@ -30,11 +30,11 @@ struct IrradianceParams {
     light_samples: u32,
     sky_samples: u32,
     seed: u32,
-    // Which stretch of its own sequences a point draws: sample 0 is their point part · n_c, part · n_l or part · n_s;
+    // Which stretch of its own sequences a point draws: sample 0 is their point part · n_c, part · n_l or part · n_s.
     part: u32,
-    // or which of how many parts of a texel's stretch,
+    // Where texels share sequences: in how many parts a texel's stretch is drawn, of which `part` is one.
     parts: u32,
-    // where this is not 0: how many texels wide the map is whose blocks of Z_SIDE² share sequences.
+    // Texels in a row of the map whose blocks of Z_SIDE² texels share sequences; 0 where every point has its own.
     width: u32,
     // Rows of the environment with bright pixels.
     sky_rows: u32,

@@ -74,9 +74,10 @@ pub enum Sequences {
     Shared {
         /// Texels in a row, at least 1.
         width: u32,
-        /// Which part of its stretch a texel draws,
+        /// Which part of its stretch a texel draws: less than `parts`.
         part: u32,
-        /// of how many, at least 1: the mean of the gathers of all parts is the gather of that many times the rays.
+        /// In how many parts its stretch is drawn, at least 1: the mean of the gathers of all parts is the gather of that
+        /// many times the rays.
         parts: u32,
     },
 }

@@ -11,9 +11,9 @@ use crate::surface::SurfacePoint;
 pub const SAME_WAY: f32 = 0.9;
 /// How far a point may lie beside the tangent plane, as a share of the search radius.
 pub const BESIDE: f32 = 0.15;
-/// Columns of cells along z within one cell of another,
+/// Columns of cells along z within one cell of another.
 pub const NEAR: usize = 9;
-/// and within three, those within one first.
+/// Columns of cells along z within three cells of another, the [`NEAR`] ones first.
 pub const FAR: usize = 49;
 
 /// Points by cells of a sparse grid, for searches in [`NEAR`] or [`FAR`] columns around each.

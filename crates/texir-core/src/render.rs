@@ -58,9 +58,9 @@ pub struct Textures {
     pub irradiance: Rgb,
     /// Emitted radiance; 0 where nothing glows.
     pub emission: Rgb,
-    /// The diffuse model that albedo belongs to,
+    /// The diffuse model that albedo belongs to.
     pub diffuse: DiffuseModel,
-    /// and the shadowing–masking term that roughness does.
+    /// The shadowing–masking term that roughness belongs to.
     pub masking: Masking,
 }
 

@@ -26,8 +26,8 @@ const RADIANCE: u64 = 64;
 /// The program, and what it does a piece at a time.
 const BASE: u64 = 48 << 20;
 
-/// Points of a neighbourhood with which work is not mostly at its borders, in as many bytes as a piece of the map
-/// takes.
+/// Points of a neighbourhood with which work is not mostly at its borders: with [`POINT`] bytes each, what docs/baking.md
+/// calls room to work in.
 const FEWEST: u64 = 1 << 18;
 
 /// How to keep a bake within `limit`: in memory where a map of `[width, height]` texels, all of them valid, fits beside

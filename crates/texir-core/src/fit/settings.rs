@@ -100,11 +100,11 @@ pub struct FullSettings {
     pub alternations: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
-    /// Light samples of each of a block's four points: per lobe of five,
+    /// Light samples of each of a block's four points, per lobe of five.
     pub lobe_samples: u32,
-    /// cosine-distributed,
+    /// Cosine-distributed light samples of each of a block's four points.
     pub cosine_samples: u32,
-    /// and to the light sources.
+    /// Light samples of each of a block's four points to the light sources.
     pub light_samples: u32,
     /// Blocks lend each other their light samples while what they reflect turns by little beside this share of a lobe's
     /// width α; 0: not at all.
@@ -243,9 +243,9 @@ pub struct OwnSettings {
     /// Pull of the segment's on it.
     pub pull: f32,
     /// By how much it must explain the part's pixels better to be believed half, where each half of the views judges by
-    /// the one that the other half asks for: the fall of the logarithm of the mean cost,
+    /// the one that the other half asks for: the fall of the logarithm of the mean cost.
     pub agreement: f32,
-    /// which counts half with so many pixels, and less with fewer.
+    /// Pixels with which that fall counts half; it counts less with fewer.
     pub half_pixels: f32,
 }
 
@@ -311,12 +311,12 @@ pub struct PaletteSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AlbedoSettings {
-    /// σ of a pixel's albedo: this much,
+    /// σ of every pixel's albedo, to which `image_noise` and `specular_noise` add.
     pub noise: f32,
-    /// this share of its apparent albedo I π/E,
+    /// σ of a pixel's albedo as a share of its apparent albedo I π/E.
     pub image_noise: f32,
-    /// and, once roughness is known, this share of the specular radiance that is taken off, as an albedo: where
-    /// highlights are bright, what is left is known badly.
+    /// σ of a pixel's albedo, once roughness is known, as a share of the specular radiance that is taken off, as an
+    /// albedo: where highlights are bright, what is left is known badly.
     pub specular_noise: f32,
     /// Weight of the difference between neighbours, where a pixel of least noise has 1.
     pub smoothness: f32,
