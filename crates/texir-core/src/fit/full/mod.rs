@@ -126,7 +126,7 @@ fn of_texels(map: &Rgb, atlas: &Atlas) -> Vec<Vec3A> {
     atlas.texels.iter().map(|&t| map.data[t as usize].into()).collect()
 }
 
-/// The materials that explain what is seen.
+/// The materials that explain what is seen: steps 4 to 8 of docs/fit.md.
 fn recover(
     ground: &Ground<'_>,
     irradiance: &[Vec3A],
@@ -136,6 +136,7 @@ fn recover(
     progress: &dyn Progress,
 ) -> Result<Materials> {
     let Ground { atlas, texel, adjacency, plan, .. } = *ground;
+    // 4. Segments.
     let apparent = apparent_albedo(ground, irradiance);
     let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, plan);
     drop(apparent);
@@ -143,12 +144,12 @@ fn recover(
     let mut problem =
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
 
-    // One roughness for each segment,
+    // 5 and 6. A scan, and by it one roughness for each segment.
     let Scanned { diffuse, mut albedo, evidence, tallies, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
     problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1, Edges::OfTexels);
 
-    // others for its colours, and where it has two finishes, of which pixels that see joints would make a mixture,
+    // 7. Roughness of its colours, and where it has two finishes: of those, pixels that see joints would make a mixture.
     let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints, progress)?;
     let half = evidence.halves(&seen.views);
     let surface = Surface {
@@ -171,12 +172,12 @@ fn recover(
     drop(evidence.cost);
     problem.solve_at(&mut albedo, &roughness, 1, Edges::OfTexels);
 
-    // and one for its joints.
+    // 7, still. Roughness of its joints.
     let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
     let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
     problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds, edges);
 
-    // Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by
+    // 8. Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by
     // blurring.
     let palettes = problem.palettes(&albedo, &settings.palette);
     let mut painted: Vec<Vec3A> =
