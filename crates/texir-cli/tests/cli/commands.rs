@@ -7,7 +7,7 @@ use texir_core::image_io::{read_gray, read_labels, read_rgb, write_rgb};
 use texir_core::raster::{Gray, Rgb};
 
 use crate::room::{ATLAS, Capture, HEIGHT, VIEWS, WIDTH, names};
-use crate::texir::{fit, run, succeed};
+use crate::texir::{fit, quickly, run, succeed};
 
 /// Everything that a fit with ground truth leaves behind.
 const FILES: [&str; 15] = [
@@ -253,8 +253,7 @@ fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
 fn an_ablation_compares_every_variant_and_keeps_what_is_done() {
     let capture = Capture::new();
     let out = capture.out("ablation");
-    let mut arguments = fit(&capture.path(), &out, &["--backend", "cpu", "--json"]);
-    arguments[0] = "ablate".into();
+    let arguments = quickly("ablate", &capture.path(), &out, &["--backend", "cpu", "--json"]);
     let said = json(&succeed(&arguments).out);
     let names: Vec<&str> = said.as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
     let expected = ["joint", "without-stage-1", "without-stage-2", "without-stage-3", "source-tbl", "paper", "full"];
@@ -272,15 +271,24 @@ fn an_ablation_compares_every_variant_and_keeps_what_is_done() {
     std::fs::remove_file(out.join("full/metrics.json")).unwrap();
     assert_eq!(json(&succeed(&arguments).out), said, "what is missing is made anew, alike");
     assert_eq!(written("paper/albedo.exr"), before, "what is there stays");
+    let paper = out.join("paper");
+    succeed(&[
+        "eval".as_ref(),
+        paper.as_os_str(),
+        "--spp".as_ref(),
+        "96".as_ref(),
+        "--backend".as_ref(),
+        "cpu".as_ref(),
+    ]);
+    assert_eq!(json(&succeed(&arguments).out), said, "what was evaluated with other rays is evaluated again");
+    assert_eq!(written("paper/albedo.exr"), before, "and not fitted");
     let image = capture.file("hdr/a.exr");
     std::fs::write(&image, std::fs::read(&image).unwrap()).unwrap();
     succeed(&arguments);
     let again = written("paper/albedo.exr");
     assert_ne!(again, before, "unless a file of the capture was written since");
     let other = Capture::new();
-    let mut arguments = fit(&other.path(), &out, &["--backend", "cpu", "--json"]);
-    arguments[0] = "ablate".into();
-    succeed(&arguments);
+    succeed(&quickly("ablate", &other.path(), &out, &["--backend", "cpu", "--json"]));
     assert_ne!(written("paper/albedo.exr"), again, "unless it is of another capture");
 }
 

@@ -16,9 +16,7 @@ pub struct Said {
 }
 
 /// Settings that make a fit of the room in paper mode a matter of a second.
-const QUICK: [&str; 10] = [
-    "--set",
-    "fit.mode=\"paper\"",
+const QUICK: [&str; 8] = [
     "--set",
     "fit.atlas_size=64",
     "--set",
@@ -71,9 +69,14 @@ impl Said {
     }
 }
 
-/// `fit CAPTURE -o OUT`, quickly.
+/// `fit CAPTURE -o OUT` in paper mode, quickly.
 pub fn fit(capture: &Path, out: &Path, more: &[&str]) -> Vec<OsString> {
-    let mut arguments: Vec<OsString> = vec!["fit".into(), capture.into(), "-o".into(), out.into()];
+    quickly("fit", capture, out, &[&["--set", "fit.mode=\"paper\""], more].concat())
+}
+
+/// A command that fits CAPTURE to OUT, with few texels and rays.
+pub fn quickly(command: &str, capture: &Path, out: &Path, more: &[&str]) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = vec![command.into(), capture.into(), "-o".into(), out.into()];
     arguments.extend(QUICK.iter().chain(more).map(OsString::from));
     arguments
 }
