@@ -160,8 +160,7 @@ pub fn smooth_light(size: usize) -> Rgb {
 
 /// The lights of a radiance atlas.
 pub fn lights(backend: &mut dyn Backend, radiance: &Rgb) -> Lights {
-    let atlas = Atlas::new(backend, radiance.width, radiance.height)
-        .unwrap_or_else(|e| panic!("the scene has no texel map: {e}"));
+    let atlas = Atlas::new(backend, radiance.size()).unwrap_or_else(|e| panic!("the scene has no texel map: {e}"));
     Lights::find(backend.scene(), &atlas, radiance).unwrap_or_else(|e| panic!("{e}"))
 }
 

@@ -54,7 +54,7 @@ fn a_closed_box_is_a_furnace_bounce_by_bounce() {
     let backends: [Box<dyn Backend>; 2] =
         [Box::new(GpuBackend::new(&gpu, scene.clone()).unwrap()), Box::new(CpuBackend::new(scene.clone()))];
     for mut backend in backends {
-        let atlas = Atlas::new(backend.as_mut(), 96, 96).unwrap();
+        let atlas = Atlas::new(backend.as_mut(), [96, 96]).unwrap();
         let surfaces = Surfaces {
             albedo: Rgb::filled(96, 96, albedo),
             emission: Rgb::filled(96, 96, emission),
@@ -98,7 +98,7 @@ fn a_dim_room_beside_a_sunlit_yard_has_all_of_its_light() {
     builder.cuboid(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), true);
     builder.quad([Vec3::ZERO, Vec3::Z, Vec3::Z + Vec3::X, Vec3::X].map(|p| 20.0 * p + 50.0 * Vec3::X), [Vec3::Y; 4]);
     let mut backend = CpuBackend::new(Scene::new(builder.finish()).unwrap());
-    let atlas = Atlas::new(&mut backend, 96, 96).unwrap();
+    let atlas = Atlas::new(&mut backend, [96, 96]).unwrap();
     let (albedo, emission) = (0.8, 1.0);
     let in_yard = |point: &SurfacePoint| point.position[0] > 40.0;
     let glows: Vec<[f32; 3]> =
@@ -126,7 +126,7 @@ fn a_sky_lights_once_and_bounces_on() {
     let mut builder = scenes::Builder::default();
     builder.quad([Vec3::ZERO, Vec3::Z, Vec3::Z + Vec3::X, Vec3::X], [Vec3::Y; 4]);
     let mut backend = CpuBackend::new(Scene::new(builder.finish()).unwrap());
-    let atlas = Atlas::new(&mut backend, 32, 32).unwrap();
+    let atlas = Atlas::new(&mut backend, [32, 32]).unwrap();
     let surfaces = Surfaces {
         albedo: Rgb::filled(32, 32, [0.9; 3]),
         emission: Rgb::filled(32, 32, [0.0; 3]),
@@ -256,7 +256,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let model = load(&document, 128);
     let scene = Arc::new(Scene::new(model.mesh.clone()).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, model.size[0], model.size[1]).unwrap();
+    let atlas = Atlas::new(&mut backend, model.size).unwrap();
     let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     let gather = Gather::new(48, 48, 1);
     let bounces = Bounces { quality: Quality { gather, denoise: None, ..QUALITY }, ..BOUNCES };
@@ -320,7 +320,7 @@ fn square_reflecting(
     document.quad(SQUARE, material, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
     let model = load_reflecting(&document, 16, reflected);
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
-    let atlas = Atlas::new(&mut backend, 16, 16).unwrap();
+    let atlas = Atlas::new(&mut backend, [16, 16]).unwrap();
     model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap()
 }
 
@@ -377,7 +377,7 @@ fn a_point_light_above_a_plane_follows_the_square_law() {
     document.light(json!({ "type": "point", "intensity": 100.0, "color": [1.0, 0.5, 0.0] }), above);
     let model = load(&document, 65);
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
-    let atlas = Atlas::new(&mut backend, 65, 65).unwrap();
+    let atlas = Atlas::new(&mut backend, [65, 65]).unwrap();
     let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     let solved = solve(&mut backend, &atlas, &surfaces, &BOUNCES);
     let law = |p: &SurfacePoint| {
@@ -473,7 +473,7 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     let model = load(&document, 16);
     let scene = Arc::new(Scene::new(model.mesh.clone()).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, 16, 16).unwrap();
+    let atlas = Atlas::new(&mut backend, [16, 16]).unwrap();
     let good = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     assert!(good.is_dark());
     let refuse = |surfaces: Surfaces, word: &str| {

@@ -44,10 +44,10 @@ pub struct Atlas {
 }
 
 impl Atlas {
-    /// Maps every texel to the backend's mesh. Errors when no texel is covered, or a side is longer than
+    /// Maps every texel of `[width, height]` to the backend's mesh. Errors when no texel is covered, or a side is longer than
     /// [`LARGEST_SIDE`]. Where charts overlap or leave [0, 1], texels are another surface's or missing;
     /// `mesh_io::atlas_report` tells.
-    pub fn new(backend: &mut dyn Backend, width: usize, height: usize) -> Result<Self> {
+    pub fn new(backend: &mut dyn Backend, [width, height]: [usize; 2]) -> Result<Self> {
         let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };
         map(backend, [width, height], |_, points, inside| {
             atlas.texels.extend(points.iter().map(|point| point.sequence));
@@ -290,7 +290,7 @@ mod tests {
             uvs: square.to_vec(),
             triangles: vec![[0, 1, 2], [0, 2, 3]],
         };
-        let atlas = Atlas::new(&mut CpuBackend::new(Scene::new(mesh).unwrap()), 4, 4).unwrap();
+        let atlas = Atlas::new(&mut CpuBackend::new(Scene::new(mesh).unwrap()), [4, 4]).unwrap();
         let index = TexelIndex::new(&atlas);
         let column = |u: f32| index.nearest(Vec2::new(u, 0.5)).map(|texel| atlas.texels[texel as usize] % 4);
         assert_eq!([0.0, 0.24, 0.26, 0.99, 1.0].map(column), [0, 0, 1, 3, 3].map(Some));

@@ -54,7 +54,7 @@ pub struct BrightPixel {
 impl Environment {
     /// Wraps a panorama, twice as wide as high. Errors on an image of another shape, and on what no radiance can be.
     pub fn new(radiance: Rgb) -> Result<Self> {
-        let (width, height) = radiance.size();
+        let [width, height] = radiance.size();
         if height == 0 || width != 2 * height {
             return Err(Error::invalid(format!(
                 "the environment is {width}×{height} pixels; expected an equirectangular panorama, twice as wide as high"
@@ -129,7 +129,7 @@ impl Environment {
 impl BrightPixels {
     /// The pixels of more than [`CONTRAST`] times the mean luminance over all directions.
     fn find(radiance: &Rgb) -> Self {
-        let (width, height) = radiance.size();
+        let [width, height] = radiance.size();
         let solid_angle = |row: usize| {
             let [upper, lower] = [row, row + 1].map(|edge| (edge as f64 * PI / height as f64).cos());
             (upper - lower) * TAU / width as f64

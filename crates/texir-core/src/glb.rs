@@ -281,12 +281,12 @@ impl Builder {
 
 impl Materials<'_> {
     /// The texels where any map of this size is not zero: those of charts, and around them.
-    fn charts(&self, size: (usize, usize)) -> Vec<bool> {
+    fn charts(&self, size: [usize; 2]) -> Vec<bool> {
         let of_rgb = |map: &&Rgb| map.data.iter().map(|v| *v != [0.0; 3]).collect::<Vec<_>>();
         let of_gray = |map: &&Gray| map.data.iter().map(|v| *v != 0.0).collect::<Vec<_>>();
         let rgb = [Some(self.albedo), self.emission].into_iter().flatten().filter(|map| map.size() == size);
         let gray = [Some(self.roughness), self.metallic].into_iter().flatten().filter(|map| map.size() == size);
-        let mut any = vec![false; size.0 * size.1];
+        let mut any = vec![false; size[0] * size[1]];
         for holds in rgb.map(|map| of_rgb(&map)).chain(gray.map(|map| of_gray(&map))) {
             any.iter_mut().zip(holds).for_each(|(any, holds)| *any |= holds);
         }

@@ -40,7 +40,7 @@
 //! let (width, height) = (64, 32);
 //! let sent = |texel: usize| if texel % width < width / 2 { [0.0; 3] } else { [2.0; 3] };
 //! let radiance = Rgb::new(width, height, (0..width * height).map(sent).collect())?;
-//! let atlas = Atlas::new(&mut backend, width, height)?;
+//! let atlas = Atlas::new(&mut backend, [width, height])?;
 //! let lights = Lights::find(backend.scene(), &atlas, &radiance)?;
 //! backend.set_tbl(&radiance, &lights)?;
 //!

@@ -66,7 +66,7 @@ pub fn mse<P: Pixel>(a: &Raster<P>, b: &Raster<P>, mask: &Mask) -> Result<Option
 /// windows inside the image and over channels.
 pub fn ssim<P: Pixel>(a: &Raster<P>, b: &Raster<P>) -> Result<f64> {
     same_size(a.size(), b.size())?;
-    let (width, height) = a.size();
+    let [width, height] = a.size();
     if width < WINDOW || height < WINDOW {
         return Err(Error::invalid(format!(
             "SSIM needs images of at least {WINDOW}×{WINDOW} pixels, not {width}×{height}"
@@ -114,11 +114,11 @@ fn window_ssim(columns: &[[f64; 5]]) -> f64 {
     (2.0 * x * y + C1) * (2.0 * covariance + C2) / ((x * x + y * y + C1) * (var_x + var_y + C2))
 }
 
-fn same_size(a: (usize, usize), b: (usize, usize)) -> Result<()> {
+fn same_size(a: [usize; 2], b: [usize; 2]) -> Result<()> {
     if a == b {
         Ok(())
     } else {
-        Err(Error::invalid(format!("images to compare differ in size: {}×{} and {}×{}", a.0, a.1, b.0, b.1)))
+        Err(Error::invalid(format!("images to compare differ in size: {}×{} and {}×{}", a[0], a[1], b[0], b[1])))
     }
 }
 

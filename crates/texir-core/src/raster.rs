@@ -70,9 +70,9 @@ impl<T> Raster<T> {
         })
     }
 
-    /// `(width, height)`.
-    pub fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
+    /// `[width, height]`.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
     }
 
     /// Applies `f` to every value.

@@ -112,7 +112,7 @@ impl<'a> Renderer<'a> {
     /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given in a unit
     /// in which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least.
     pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
-        let atlas = Atlas::new(backend, radiance.width, radiance.height)?;
+        let atlas = Atlas::new(backend, radiance.size())?;
         let scene = backend.scene().clone();
         let of_texel = |texel: &u32| f64::from(mean_of_channels(radiance.data[*texel as usize]));
         let mean = atlas.texels.iter().map(of_texel).sum::<f64>() / atlas.texels.len().max(1) as f64;
@@ -264,12 +264,12 @@ impl<'a> Renderer<'a> {
     }
 
     /// The atlas's pyramid at a size, made at its first use.
-    fn pyramid(&mut self, (width, height): (usize, usize)) -> Result<Arc<Pyramid>> {
+    fn pyramid(&mut self, [width, height]: [usize; 2]) -> Result<Arc<Pyramid>> {
         let known = self.pyramids.iter().find(|p| (p.levels[0].width, p.levels[0].height) == (width, height));
         if let Some(known) = known {
             return Ok(known.clone());
         }
-        let pyramid = Arc::new(Atlas::new(self.backend, width, height)?.pyramid());
+        let pyramid = Arc::new(Atlas::new(self.backend, [width, height])?.pyramid());
         self.pyramids.push(pyramid.clone());
         Ok(pyramid)
     }

@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let gpu = Gpu::from_device(device.clone(), queue.clone())?;
     let mut backend = GpuBackend::new(&gpu, Scene::new(room())?)?;
-    let atlas = Atlas::new(&mut backend, SIZE, SIZE)?;
+    let atlas = Atlas::new(&mut backend, [SIZE, SIZE])?;
     let radiance = emitted(&atlas);
     backend.set_tbl(&radiance, &Lights::find(backend.scene(), &atlas, &radiance)?)?;
 

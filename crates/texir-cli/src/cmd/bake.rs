@@ -155,7 +155,7 @@ impl Bake {
             Some(limit) => bake::keep_within(limit, &self.partial(), scene.mesh(), radiance.data.len(), size)?,
             None => Workspace::Memory,
         };
-        let shining = Atlas::new(backend.as_mut(), radiance.width, radiance.height)?;
+        let shining = Atlas::new(backend.as_mut(), radiance.size())?;
         let lights = Lights::find(&scene, &shining, &radiance)?;
         drop(shining);
         backend.set_tbl(&radiance, &lights)?;

@@ -177,7 +177,7 @@ fn rays_per_second(backend: &mut dyn Backend) -> Result<f64, Failure> {
 /// Maps and gathers an atlas.
 fn bake(backend: &mut dyn Backend, side: usize, session: &Session<'_>) -> Result<AtlasRow, Failure> {
     let start = Instant::now();
-    let atlas = Atlas::new(backend, side, side)?;
+    let atlas = Atlas::new(backend, [side, side])?;
     let map_seconds = start.elapsed().as_secs_f64();
     let start = Instant::now();
     session.console.start(&format!("{side}²"), atlas.points.len() as u64 * u64::from(ATLAS_RAYS), "rays");

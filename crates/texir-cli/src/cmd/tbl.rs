@@ -82,5 +82,5 @@ pub fn build(
 ) -> Result<capture::Tbl, Failure> {
     let views: Vec<View> = capture.views(Split::Train).cloned().collect();
     let side = size.unwrap_or_else(|| tbl::default_side(&views));
-    Ok(tbl::build(backend, &views, (side, side), &TblOptions::default(), session.console)?)
+    Ok(tbl::build(backend, &views, [side, side], &TblOptions::default(), session.console)?)
 }

@@ -124,7 +124,7 @@ impl ViewPanel {
 pub fn texture_figures(textures: &Textures, confidence: Option<&Gray>) -> Result<Vec<TextureFigure>, Failure> {
     let Textures { albedo, roughness, metallic, irradiance, .. } = textures;
     let diffuse = irradiance.map(|p| p.map(|c| c * std::f32::consts::FRAC_1_PI));
-    let figure = |name, (width, height): (usize, usize), shown: &str, picture| TextureFigure {
+    let figure = |name, [width, height]: [usize; 2], shown: &str, picture| TextureFigure {
         name,
         note: format!("{width} × {height}{shown}"),
         picture,

@@ -52,7 +52,7 @@ fn an_authored_scene_is_baked_for_an_engine() {
     };
     let summary = bake("full.exr", &[]);
     let full = read_rgb(folder.path().join("out/full.exr")).unwrap();
-    assert_eq!(full.size(), (32, 32));
+    assert_eq!(full.size(), [32, 32]);
     // Two unit squares a metre apart: the view factor is 0.2, so that direct light alone is πL · 0.2 on average.
     let direct = std::f32::consts::PI * 1000.0 * 0.2;
     assert!((direct..1.6 * direct).contains(&floor(&full)), "{} lux, {direct} of them directly", floor(&full));

@@ -35,7 +35,7 @@ fn sorted(mut names: Vec<&str>) -> Vec<&str> {
 
 /// Reads an EXR of the atlas' size; its values are finite and not negative, and some are above 0.
 #[track_caller]
-fn assert_light(path: &Path, size: (usize, usize)) {
+fn assert_light(path: &Path, size: [usize; 2]) {
     let image = read_rgb(path).unwrap();
     assert_eq!(image.size(), size, "{}", path.display());
     assert!(image.data.iter().flatten().all(|v| v.is_finite() && *v >= 0.0), "{}", path.display());
@@ -294,10 +294,10 @@ fn an_ablation_compares_every_variant_and_keeps_what_is_done() {
 
 fn assert_textures(out: &Path) {
     for name in ["albedo.exr", "irradiance.exr", "hdr_texture.exr", "emission.exr"] {
-        assert_light(&out.join(name), (ATLAS, ATLAS));
+        assert_light(&out.join(name), [ATLAS, ATLAS]);
     }
     let roughness = read_gray(out.join("roughness.exr")).unwrap();
-    assert_eq!(roughness.size(), (ATLAS, ATLAS));
+    assert_eq!(roughness.size(), [ATLAS, ATLAS]);
     assert!(roughness.data.iter().all(|r| (0.0..=1.0).contains(r)));
     let coverage = read_labels(out.join("hdr_texture_mask.png")).unwrap();
     assert!([0, 255].iter().all(|level| coverage.data.contains(level)), "texels seen, and texels outside the charts");
@@ -381,7 +381,7 @@ fn render(capture: &Capture, out: &Path) {
         "cpu".as_ref(),
     ]);
     for name in VIEWS {
-        assert_light(&folder.join(format!("{name}.exr")), (WIDTH, HEIGHT));
+        assert_light(&folder.join(format!("{name}.exr")), [WIDTH, HEIGHT]);
         assert!(folder.join(format!("{name}.png")).is_file());
     }
     assert_eq!(names(&folder).len(), 2 * VIEWS.len());
@@ -472,7 +472,7 @@ fn tbl_and_bake_of_a_capture_and_of_a_mesh_agree_on_both_backends() {
     let (texture, mesh) = (capture.out("light.exr"), capture.file("mesh.obj"));
     let input = capture.path();
     succeed(&["tbl".as_ref(), input.as_os_str(), "-o".as_ref(), texture.as_os_str(), "--size".as_ref(), "64".as_ref()]);
-    assert_light(&texture, (ATLAS, ATLAS));
+    assert_light(&texture, [ATLAS, ATLAS]);
     assert!(capture.out("light_mask.png").is_file());
 
     let mut maps: Vec<Rgb> = Vec::new();
@@ -481,7 +481,7 @@ fn tbl_and_bake_of_a_capture_and_of_a_mesh_agree_on_both_backends() {
         let with = ["--tbl".as_ref(), texture.as_os_str(), "-o".as_ref(), output.as_os_str()];
         let how = ["--spp", "32", "--size", "32", "--no-denoise", "--backend", backend].map(AsRef::as_ref);
         succeed(&[&["bake".as_ref(), input.as_os_str()], &with[..], &how[..]].concat());
-        assert_light(&output, (32, 32));
+        assert_light(&output, [32, 32]);
         maps.push(read_rgb(&output).unwrap());
         std::fs::remove_file(output).unwrap();
     }
@@ -519,7 +519,7 @@ fn a_bake_to_an_error_says_what_is_left_of_it() {
     };
     let (few, map, errors) = bake("1024", "0.2");
     assert!((64.0..512.0).contains(&few), "{few} rays per texel");
-    assert_eq!((map.size(), errors.size()), ((32, 32), (32, 32)));
+    assert_eq!((map.size(), errors.size()), ([32, 32], [32, 32]));
     assert!(errors.data.iter().all(|e| e.is_finite() && *e >= 0.0) && errors.data.iter().any(|e| *e > 0.0));
     let (most, _, smaller) = bake("256", "0.0001");
     assert_eq!(most, 256.0);
@@ -578,7 +578,7 @@ fn no_metal_is_found_where_there_is_none() {
     let paths = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str()];
     succeed(&[&paths[..], &quick.map(AsRef::as_ref)].concat());
     let metallic = texir_core::image_io::read_gray(out.join("metallic.exr")).unwrap();
-    assert_eq!(metallic.size(), (64, 64));
+    assert_eq!(metallic.size(), [64, 64]);
     assert!(metallic.data.iter().all(|&m| m == 0.0));
 }
 

@@ -226,7 +226,7 @@ fn cameras() -> [Camera; VIEWS.len()] {
 
 /// True textures with the light of all bounces.
 fn light(backend: &mut CpuBackend, paints: &[Paint]) -> Textures {
-    let atlas = Atlas::new(backend, ATLAS, ATLAS).unwrap();
+    let atlas = Atlas::new(backend, [ATLAS, ATLAS]).unwrap();
     let side = ATLAS / CHARTS;
     let of_chart = |i: usize| paints.get(i / ATLAS / side * CHARTS + i % ATLAS / side);
     let texels = Raster::new(ATLAS, ATLAS, (0..ATLAS * ATLAS).map(of_chart).collect()).unwrap();

@@ -98,7 +98,7 @@ fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> 
 fn tiles_of_any_size_give_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let mut bake = |tile| in_tiles(&mut backend, &atlas, GATHER, tile, &Checkpoints::none(), &Silent).unwrap();
     let whole = bake(usize::MAX);
     assert!(whole.len() > 100 && whole.iter().any(|g| g.irradiance[0] > 0.1));
@@ -111,7 +111,7 @@ fn tiles_of_any_size_give_the_same_bits() {
 fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let whole = in_tiles(&mut backend, &atlas, GATHER, TILE, &Checkpoints::none(), &Silent).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("new/map.exr.partial");
@@ -140,7 +140,7 @@ fn a_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
 fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let mut bake = |radiance: &Rgb, gather, stop: &Stop| {
@@ -163,7 +163,7 @@ fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
 fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let quality =
@@ -211,7 +211,7 @@ fn strips() -> (Arc<Scene>, Rgb) {
 #[test]
 fn buried_texels_take_what_is_lit_beside_them_and_keep_the_rest() {
     let (scene, radiance) = two_sheets();
-    let atlas = Atlas::new(&mut lit(&scene, &radiance), LARGE, LARGE).unwrap();
+    let atlas = Atlas::new(&mut lit(&scene, &radiance), [LARGE, LARGE]).unwrap();
     let row = |texel: &u32| *texel as usize / LARGE;
     let first_lit = LARGE / 2;
     let baked = Baked {
@@ -243,7 +243,7 @@ fn maps(solution: &Solution, texels: &Texels<'_>, buried: Buried, band: usize) -
 fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let (scene, radiance) = strips();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, LARGE, LARGE).unwrap();
+    let atlas = Atlas::new(&mut backend, [LARGE, LARGE]).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let gather = Gather { cosine: 64, ..GATHER };
     let mut texels = |workspace| Texels::map(&mut backend, [LARGE; 2], workspace, &Silent).unwrap();
@@ -438,7 +438,7 @@ fn a_bake_goes_on_only_with_what_it_was_begun_with() {
 fn standard_errors_of_light_that_is_added_up_add_up_as_noise_does() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let texels = Texels::of(&atlas);
     let quality = Quality { gather: GATHER, error: Some(0.0), denoise: None };
     let mut solution = solve(&mut backend, &texels, &quality, &Checkpoints::none(), &Silent).unwrap();
@@ -458,7 +458,7 @@ fn standard_errors_of_light_that_is_added_up_add_up_as_noise_does() {
 fn errors_that_cannot_be_met_and_halves_of_one_ray_are_refused() {
     let (scene, radiance) = two_sheets();
     let mut backend = lit(&scene, &radiance);
-    let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+    let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let mut refused = |quality: &Quality| {
         bake(&mut backend, &atlas, quality, &Checkpoints::none(), &Silent).map(drop).unwrap_err().to_string()
     };

@@ -84,7 +84,7 @@ mod tests {
     fn a_quarter_of_the_rays_tells_nearly_the_same() {
         let (scene, radiance) = two_sheets();
         let mut backend = lit(&scene, &radiance);
-        let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+        let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
         let gather = Gather::new(256, 0, 3);
         let none = Checkpoints::none();
         let all = bake::denoised(&mut backend, &atlas, gather, &none, &Silent).unwrap();

@@ -7,7 +7,7 @@ const AREA: usize = 16;
 
 /// Makes areas that are exactly black unknown (NaN); counts their pixels.
 pub(super) fn blank_black_areas(image: &mut Rgb) -> usize {
-    let (width, height) = image.size();
+    let [width, height] = image.size();
     let mut black: Vec<bool> = image.data.iter().map(|pixel| *pixel == [0.0; 3]).collect();
     let mut blanked = 0;
     let mut area = Vec::new();

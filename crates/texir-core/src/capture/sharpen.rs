@@ -21,7 +21,7 @@ const PASS: f32 = 0.5;
 /// Undoes a point spread of this variance beyond that of a pixel, square pixels along each axis. Left and right meet
 /// where the image `wraps`. Pixels that are not finite stay as they are, and spread to no other.
 pub(super) fn sharpen(image: &mut Rgb, variance: f32, wraps: bool) {
-    let (width, height) = image.size();
+    let [width, height] = image.size();
     let at = |x: usize, y: usize| y * width + x;
     let beside_in_row = |x: usize, y: usize| match wraps {
         true => [at((x + width - 1) % width, y), at((x + 1) % width, y)],

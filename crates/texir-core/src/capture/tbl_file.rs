@@ -24,7 +24,7 @@ impl Tbl {
     pub fn read(path: impl AsRef<Path>, progress: &dyn Progress) -> Result<Self> {
         let path = path.as_ref();
         let mut radiance = read_rgb(path)?;
-        let (width, height) = radiance.size();
+        let [width, height] = radiance.size();
         if width != height {
             // An atlas may have any sides; views and skies, which were given in its place, are twice as wide as high.
             progress.warn(&format!(

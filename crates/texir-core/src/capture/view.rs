@@ -178,7 +178,7 @@ impl View {
         Ok(raster.reduced(self.reduction, one))
     }
 
-    fn check_size(&self, field: &str, path: &Path, (width, height): (usize, usize)) -> Result<()> {
+    fn check_size(&self, field: &str, path: &Path, [width, height]: [usize; 2]) -> Result<()> {
         let camera = &self.camera;
         if (width / self.reduction, height / self.reduction) == (camera.width, camera.height) {
             return Ok(());

@@ -285,7 +285,7 @@ fn obvhs_and_the_exhaustive_search_agree() {
 fn light_samples_change_the_noise_and_not_the_mean() {
     let scene = Arc::new(Scene::new(box_room()).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, 24, 8).unwrap();
+    let atlas = Atlas::new(&mut backend, [24, 8]).unwrap();
     // The ceiling (+Z wall, last sixth) shines.
     let mut tbl = Rgb::filled(24, 8, [0.1; 3]);
     for (i, texel) in tbl.data.iter_mut().enumerate() {

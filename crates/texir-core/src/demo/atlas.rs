@@ -44,10 +44,10 @@ impl ChartRect {
 }
 
 /// The area of a chart in texels at `density` texels per metre.
-fn footprint(chart: &Chart, density: f32) -> (usize, usize) {
+fn footprint(chart: &Chart, density: f32) -> [usize; 2] {
     let texels = |length: f32| ((length * density / ALIGN as f32).round() as usize).max(1) * ALIGN;
     let size = chart.size();
-    (texels(size.x), texels(size.y))
+    [texels(size.x), texels(size.y)]
 }
 
 /// Places the charts, as large as they fit into a `side`² atlas. Returns the density in texels per metre.
@@ -72,14 +72,14 @@ pub(super) fn pack(charts: &[Chart], side: usize) -> Result<(Vec<ChartRect>, f32
 
 /// Skyline packing, bottom-left, tallest first (Jylänki, "A Thousand Ways to Pack the Bin", 2010).
 fn place_all(charts: &[Chart], side: usize, density: f32) -> Option<Vec<ChartRect>> {
-    let sizes: Vec<(usize, usize)> = charts.iter().map(|c| footprint(c, density)).collect();
+    let sizes: Vec<[usize; 2]> = charts.iter().map(|c| footprint(c, density)).collect();
     let mut order: Vec<usize> = (0..charts.len()).collect();
-    order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i].1), std::cmp::Reverse(sizes[i].0), i));
+    order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i][1]), std::cmp::Reverse(sizes[i][0]), i));
     // The skyline: (x, y) of every step, left to right; everything above y is taken.
     let mut steps = vec![(GUTTER / 2, GUTTER / 2)];
     let mut places = vec![ChartRect { x: 0, y: 0, width: 0, height: 0 }; charts.len()];
     for i in order {
-        let (width, height) = sizes[i];
+        let [width, height] = sizes[i];
         let (w, h) = (width + GUTTER, height + GUTTER);
         let fit = |start: usize| {
             let x = steps[start].0;
@@ -204,7 +204,7 @@ pub(super) fn dilate<T: Copy + Blend>(map: &mut Raster<Option<T>>, rounds: usize
         IVec2::new(-1, 1),
         IVec2::new(1, 1),
     ];
-    let (width, height) = map.size();
+    let [width, height] = map.size();
     for _ in 0..rounds {
         let filled: Vec<(usize, T)> = (0..map.data.len())
             .filter(|&i| map.data[i].is_none())

@@ -200,7 +200,7 @@ fn images_agree_with_plain_path_tracing() {
     let world = World::new(&flat).unwrap();
     let matte = RenderOptions { specular_bounces: 0, ..options };
     let matte = render(&flat, std::slice::from_ref(&shot), &matte, &Silent).unwrap().remove(0);
-    let (width, height) = view.image.size();
+    let [width, height] = view.image.size();
     // Edges of the lamp would drown the comparison in the noise of their coverage.
     let is_clear = |i: &usize| {
         let (x, y) = (i % width, i / width);

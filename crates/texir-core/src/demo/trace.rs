@@ -180,7 +180,7 @@ pub(super) fn bilinear(map: &Rgb, uv: Vec2) -> Vec3 {
 }
 
 fn bilinear_with<T, V: Copy>(map: &Raster<T>, uv: Vec2, value: impl Fn(&T) -> V, mix: impl Fn(V, V, f32) -> V) -> V {
-    let (width, height) = map.size();
+    let [width, height] = map.size();
     let last = Vec2::new(width as f32 - 1.0, height as f32 - 1.0);
     let p = (uv * Vec2::new(width as f32, height as f32) - 0.5).clamp(Vec2::ZERO, last);
     let (x, y) = (p.x as usize, p.y as usize);

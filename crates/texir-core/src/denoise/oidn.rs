@@ -11,8 +11,8 @@ use crate::raster::{Raster, Rgb};
 /// network where surfaces bend. Both are best continued beyond the charts. Errors when the library finds no device that
 /// it can run on, or no memory.
 pub fn denoise(map: &Rgb, normals: &Rgb) -> Result<Rgb> {
-    let (width, height) = map.size();
-    if normals.size() != (width, height) {
+    let [width, height] = map.size();
+    if normals.size() != [width, height] {
         return Err(Error::invalid(format!("a map of {width} × {height} texels, and normals of {:?}", normals.size())));
     }
     let mut clean = Raster::filled(width, height, [0.0f32; 3]);

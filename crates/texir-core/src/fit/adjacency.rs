@@ -90,11 +90,11 @@ impl Adjacency {
             NONE => NONE,
             from => self.beside[from as usize][side],
         };
-        let corner = move |(across, along): (usize, usize)| match step(step(texel, across), along) {
+        let corner = move |[across, along]: [usize; 2]| match step(step(texel, across), along) {
             NONE => step(step(texel, along), across),
             corner => corner,
         };
-        let corners = [(0, 2), (0, 3), (1, 2), (1, 3)].into_iter().map(corner);
+        let corners = [[0, 2], [0, 3], [1, 2], [1, 3]].into_iter().map(corner);
         self.around(texel).chain(corners.filter(|&n| n != NONE))
     }
 }

@@ -80,7 +80,7 @@ mod tests {
         const ALBEDO: f32 = 0.54;
         let scene = Arc::new(Scene::new(room()).unwrap());
         let mut backend = CpuBackend::new(scene.clone());
-        let atlas = Atlas::new(&mut backend, 96, 64).unwrap();
+        let atlas = Atlas::new(&mut backend, [96, 64]).unwrap();
         let map = |value: &dyn Fn(usize) -> f32| -> Rgb {
             let values: Vec<[f32; 3]> = (0..atlas.texels.len()).map(|i| [value(i); 3]).collect();
             atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING)

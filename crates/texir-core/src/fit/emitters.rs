@@ -143,7 +143,7 @@ mod tests {
         truth.data[SHADE] = [0.4; 3];
         let mut radiance = truth.clone();
         radiance.data[BESIDE] = [10.0; 3];
-        let views = square.views(&truth, (256, 128));
+        let views = square.views(&truth, [256, 128]);
         // At E/π = 0.2, the shade reflects at twice an albedo of 1: not a seed of its own.
         let irradiance = Rgb::filled(SIDE, SIDE, [0.2 * std::f32::consts::PI; 3]);
         let mut coverage = Raster::filled(SIDE, SIDE, Coverage::Seen);
@@ -156,9 +156,9 @@ mod tests {
         };
         assert_eq!(found(&radiance, &coverage, &views), [LAMP, SHADE]);
         assert_eq!(found(&radiance, &coverage, &[]), [LAMP, SHADE, BESIDE], "without views the texture decides");
-        let blind = square.views(&truth.map(|_| [f32::NAN; 3]), (256, 128));
+        let blind = square.views(&truth.map(|_| [f32::NAN; 3]), [256, 128]);
         assert_eq!(found(&radiance, &coverage, &blind), [LAMP, SHADE, BESIDE], "unknown pixels say nothing");
-        let views = square.views(&truth, (256, 128));
+        let views = square.views(&truth, [256, 128]);
         // What no view sees: filled from around, then with the light of the lamp that it is part of.
         coverage.data[SHADE] = Coverage::Inpainted;
         assert_eq!(found(&radiance, &coverage, &views), [LAMP]);

@@ -38,9 +38,9 @@ pub(super) fn lighting(
         (0, Some(tbl)) => tbl.radiance.size(),
         (0, None) => {
             let side = memory::default_side(&training, backend.scene().mesh(), settings);
-            (side, side)
+            [side, side]
         }
-        (size, _) => (size, size),
+        (size, _) => [size, size],
     };
     if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
         progress.warn(&format!(
@@ -50,8 +50,8 @@ pub(super) fn lighting(
     }
     let given = given.filter(|tbl| tbl.radiance.size() == size);
     let is_given = given.is_some();
-    let atlas = Atlas::new(backend, size.0, size.1)?;
-    crowded(backend, size.into())?.iter().for_each(|what| progress.warn(what));
+    let atlas = Atlas::new(backend, [size[0], size[1]])?;
+    crowded(backend, size)?.iter().for_each(|what| progress.warn(what));
     // Before the first long step: what does not fit in memory is refused.
     let mut views = memory::affordable(&training, (backend.scene().mesh(), &atlas), settings, progress)?;
     let survey = Survey::new(backend, &training, progress)?;
@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn too_little_memory_is_refused_before_anything_is_begun() {
         let square = LitSquare::new();
-        let views = square.views(&Rgb::filled(SIDE, SIDE, [1.0; 3]), (16, 8));
+        let views = square.views(&Rgb::filled(SIDE, SIDE, [1.0; 3]), [16, 8]);
         let begun = |max_memory| {
             let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
             let progress = Begun::default();

@@ -38,7 +38,7 @@ impl LitSquare {
             triangles: vec![[0, 1, 2], [0, 2, 3]],
         };
         let scene = Arc::new(Scene::new(mesh).unwrap());
-        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIDE, SIDE).unwrap();
+        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), [SIDE, SIDE]).unwrap();
         let adjacency = Adjacency::new(scene.mesh(), &atlas);
         Self { scene, atlas, adjacency, folder: tempfile::tempdir().unwrap() }
     }
@@ -48,7 +48,7 @@ impl LitSquare {
     }
 
     /// Panoramas of `texture` (bilinear) from five places a metre above.
-    pub fn views(&self, texture: &Rgb, (width, height): (usize, usize)) -> Vec<View> {
+    pub fn views(&self, texture: &Rgb, [width, height]: [usize; 2]) -> Vec<View> {
         let mut backend = self.backend();
         let index = TexelIndex::new(&self.atlas);
         [(-0.4, 0.1), (0.13, 0.07), (0.5, -0.2), (-0.1, 0.55), (0.3, 0.4)]

@@ -36,7 +36,7 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
 }
 
 /// Bytes that a fit needs: an estimate, good to a tenth in full mode and to a third in paper mode.
-pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u64, mesh: &Mesh) -> ByteSize {
+pub fn needed(settings: &FitSettings, [width, height]: [usize; 2], pixels: u64, mesh: &Mesh) -> ByteSize {
     let (texel, pixel) = bytes_of(settings);
     ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + Scene::memory(mesh))
 }
@@ -45,7 +45,7 @@ pub fn needed(settings: &FitSettings, (width, height): (usize, usize), pixels: u
 /// to views.
 pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usize {
     let side = tbl::default_side(views);
-    let textures = needed(settings, (side, side), 0, mesh).0;
+    let textures = needed(settings, [side, side], 0, mesh).0;
     if 2 * textures <= settings.max_memory.0 { side } else { DEFAULT_SIDE }
 }
 
@@ -58,13 +58,13 @@ pub fn affordable(
     settings: &FitSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<View>> {
-    let (size, limit) = ((atlas.width, atlas.height), settings.max_memory);
+    let (size, limit) = ([atlas.width, atlas.height], settings.max_memory);
     let textures = needed(settings, size, 0, mesh);
     let left = limit.0.checked_sub(textures.0).ok_or_else(|| {
         Error::invalid(format!(
             "max_memory is {limit}, but textures of {}×{} texels and the mesh alone need about {textures}: raise it, or \
              lower atlas_size",
-            size.0, size.1
+            size[0], size[1]
         ))
     })?;
     let pixels: u64 = views.iter().map(|view| view.camera.pixels() as u64).sum();
@@ -156,7 +156,7 @@ mod tests {
         let mesh = square.scene.mesh();
         let settings = FitSettings::default();
         let views = |width, height, count: usize| {
-            let view = square.views(&texture(), (8, 4)).swap_remove(0);
+            let view = square.views(&texture(), [8, 4]).swap_remove(0);
             vec![View { camera: Camera { width, height, ..view.camera }, ..view }; count]
         };
         assert_eq!(default_side(&[], mesh, &settings), 1024);
@@ -173,10 +173,10 @@ mod tests {
         let place = (square.scene.mesh(), &square.atlas);
         let settings = FitSettings::default();
         // 64 texels: 256 pixels are useful. Five views of 8 × 4 are fewer, five of 32 × 16 are ten times as many.
-        let few = square.views(&texture(), (8, 4));
+        let few = square.views(&texture(), [8, 4]);
         let same = affordable(&few, place, &settings, &Silent).unwrap();
         assert!(same.iter().all(|v| v.reduction == 1 && v.camera.width == 8));
-        let many = square.views(&texture(), (32, 16));
+        let many = square.views(&texture(), [32, 16]);
         let reduced = affordable(&many, place, &settings, &Silent).unwrap();
         assert!(reduced.iter().all(|v| v.reduction == 4 && (v.camera.width, v.camera.height) == (8, 4)));
         let image = reduced[0].load_image(&Silent).unwrap();
@@ -192,13 +192,13 @@ mod tests {
     fn memory_is_kept_to_or_refused() {
         let square = LitSquare::new();
         let place = (square.scene.mesh(), &square.atlas);
-        let views = square.views(&texture(), (8, 4));
+        let views = square.views(&texture(), [8, 4]);
         let at = |max_memory| FitSettings { max_memory, ..FitSettings::default() };
-        let all = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 160, square.scene.mesh());
+        let all = needed(&at(ByteSize(0)), [square.atlas.width, square.atlas.height], 160, square.scene.mesh());
         assert!(affordable(&views, place, &at(all), &Silent).unwrap().iter().all(|v| v.reduction == 1));
         let most = affordable(&views, place, &at(ByteSize(all.0 - 1)), &Silent).unwrap();
         assert_eq!(most.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 1, 1, 2, 1]);
-        let half = needed(&at(ByteSize(0)), (square.atlas.width, square.atlas.height), 88, square.scene.mesh());
+        let half = needed(&at(ByteSize(0)), [square.atlas.width, square.atlas.height], 88, square.scene.mesh());
         let some = affordable(&views, place, &at(half), &Silent).unwrap();
         assert_eq!(some.iter().map(|v| v.reduction).collect::<Vec<_>>(), [1, 2, 1, 2, 2]);
         let none = affordable(&views, place, &at(ByteSize(1000)), &Silent).unwrap_err().to_string();
@@ -209,7 +209,7 @@ mod tests {
     fn what_is_read_is_told_in_digits_that_say_something() {
         let square = LitSquare::new();
         let warnings = Warnings::default();
-        let views = square.views(&texture(), (32, 16));
+        let views = square.views(&texture(), [32, 16]);
         affordable(&views, (square.scene.mesh(), &square.atlas), &FitSettings::default(), &warnings).unwrap();
         let said = warnings.all();
         assert!(said.len() == 1 && said[0].contains("160 pixels of 2560, as the atlas"), "{said:?}");
@@ -227,7 +227,7 @@ mod tests {
         {
             let (triangles, positions) = (vec![[0; 3]; triangles], vec![Vec3::ZERO; vertices]);
             let mesh = Mesh { triangles, positions, ..Mesh::default() };
-            let needed = needed(&FitSettings::default(), (side, side), pixels, &mesh);
+            let needed = needed(&FitSettings::default(), [side, side], pixels, &mesh);
             let share = needed.0 as f64 / f64::from(measured << 20);
             assert!((1.0..1.1).contains(&share), "{needed}, {share} of what was measured");
         }

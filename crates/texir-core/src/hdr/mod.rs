@@ -68,7 +68,7 @@ fn sensor_variance(light: f64) -> f64 {
 
 /// Merges shots of one pose; their order does not matter.
 pub fn merge(shots: &[Frame], choice: ResponseChoice, progress: &dyn Progress) -> Result<Merged> {
-    let (width, height) = check(shots)?;
+    let [width, height] = check(shots)?;
     let positions = sample_positions(width, height);
     let samples = read_samples(shots, &positions, progress)?;
     let exposures: Vec<f64> = shots.iter().map(|shot| shot.exposure).collect();
@@ -82,7 +82,7 @@ pub fn merge(shots: &[Frame], choice: ResponseChoice, progress: &dyn Progress) -
     for index in order {
         progress.check()?;
         let shot = &shots[index];
-        sums.add(&load(shot, (width, height))?, shot.exposure, &response);
+        sums.add(&load(shot, [width, height])?, shot.exposure, &response);
         progress.advance(1);
     }
     progress.finish();
@@ -91,7 +91,7 @@ pub fn merge(shots: &[Frame], choice: ResponseChoice, progress: &dyn Progress) -
 }
 
 /// The size that all shots have.
-fn check(shots: &[Frame]) -> Result<(usize, usize)> {
+fn check(shots: &[Frame]) -> Result<[usize; 2]> {
     let [first, rest @ ..] = shots else { return Err(Error::invalid("no shots; expected a bracketed series")) };
     for shot in shots {
         if !(shot.exposure > 0.0 && shot.exposure.is_finite()) {
@@ -114,7 +114,7 @@ fn check(shots: &[Frame]) -> Result<(usize, usize)> {
     Ok(size)
 }
 
-fn load(shot: &Frame, size: (usize, usize)) -> Result<Encoded> {
+fn load(shot: &Frame, size: [usize; 2]) -> Result<Encoded> {
     let encoded = read_encoded(&shot.path)?;
     if encoded.values.size() == size { Ok(encoded) } else { Err(changed(&shot.path)) }
 }

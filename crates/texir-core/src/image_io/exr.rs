@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
 
 /// Size of the display window, from the header.
-pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
+pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
     let meta = MetaData::read_from_file(path, false).map_err(|e| Error::cannot_read(path, e))?;
     for header in &meta.headers {
         check_size(path, header.layer_size.width(), header.layer_size.height())?;
@@ -29,7 +29,7 @@ pub(super) fn size(path: &Path) -> Result<(usize, usize)> {
         Some(header) => {
             let (width, height) = header.shared_attributes.display_window.size.into();
             check_size(path, width, height)?;
-            Ok((width, height))
+            Ok([width, height])
         }
         None => Err(Error::file(path, "has no layer; expected an image")),
     }

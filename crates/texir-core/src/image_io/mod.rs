@@ -113,17 +113,17 @@ fn reader(path: &Path, format: Format) -> Result<ImageReader<BufReader<File>>> {
 }
 
 /// `(width, height)` from the file's header alone. For OpenEXR the display window counts.
-pub fn read_size(path: impl AsRef<Path>) -> Result<(usize, usize)> {
+pub fn read_size(path: impl AsRef<Path>) -> Result<[usize; 2]> {
     let path = path.as_ref();
-    let (width, height) = match format_of(path)? {
+    let [width, height] = match format_of(path)? {
         Format::OpenExr => exr::size(path)?,
         format => {
             let (width, height) = reader(path, format)?.into_dimensions().map_err(|e| Error::cannot_read(path, e))?;
-            (width as usize, height as usize)
+            [width as usize, height as usize]
         }
     };
     check_size(path, width, height)?;
-    Ok((width, height))
+    Ok([width, height])
 }
 
 /// Errors when the file ends before its pixels do, as after an interrupted copy. OpenEXR is read without decompressing

@@ -94,7 +94,7 @@ pub fn write_png_mask(path: impl AsRef<Path>, mask: &Mask) -> Result<()> {
 
 fn encode(
     sink: impl Write,
-    (width, height): (usize, usize),
+    [width, height]: [usize; 2],
     bytes: &[u8],
     colour: ExtendedColorType,
 ) -> image::ImageResult<()> {

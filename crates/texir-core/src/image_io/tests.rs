@@ -19,16 +19,10 @@ fn gradient(width: usize, height: usize) -> Rgb {
 }
 
 /// An EXR of arbitrary half-float channels, as other programs write them: channel `(name, v)` holds v + pixel index.
-fn write_exr(
-    path: &Path,
-    size: (usize, usize),
-    attributes: LayerAttributes,
-    window: IntegerBounds,
-    of: &[(&str, f32)],
-) {
-    let samples = |v: f32| FlatSamples::F16((0..size.0 * size.1).map(|i| f16::from_f32(v + i as f32)).collect());
+fn write_exr(path: &Path, size: [usize; 2], attributes: LayerAttributes, window: IntegerBounds, of: &[(&str, f32)]) {
+    let samples = |v: f32| FlatSamples::F16((0..size[0] * size[1]).map(|i| f16::from_f32(v + i as f32)).collect());
     let list = of.iter().map(|(name, v)| AnyChannel::new(*name, samples(*v))).collect();
-    let layer = Layer::new(size, attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(list));
+    let layer = Layer::new((size[0], size[1]), attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(list));
     Image::new(ImageAttributes::new(window), layer).write().to_file(path).unwrap();
 }
 
@@ -47,7 +41,7 @@ fn rgb_and_gray_survive_a_round_trip_exactly() {
     let rgb = gradient(7, 5);
     write_rgb(&path, &rgb).unwrap();
     assert_eq!(read_rgb(&path).unwrap(), rgb);
-    assert_eq!(read_size(&path).unwrap(), (7, 5));
+    assert_eq!(read_size(&path).unwrap(), [7, 5]);
     assert_eq!(read_gray(&path).unwrap(), rgb.map(|p| p[0]), "R of an RGB file");
     let gray = rgb.map(|p| p[1]);
     write_gray(&path, &gray).unwrap();
@@ -62,10 +56,10 @@ fn half_floats_alpha_and_named_layers_are_read() {
     for prefix in ["", "View.Combined."] {
         let names = ["R", "G", "B", "A"].map(|c| format!("{prefix}{c}"));
         let channels = [0, 1, 2, 3].map(|i| (names[i].as_str(), 10.0 * i as f32));
-        write_exr(&path, (2, 1), LayerAttributes::default(), whole(2, 1), &channels);
+        write_exr(&path, [2, 1], LayerAttributes::default(), whole(2, 1), &channels);
         assert_eq!(read_rgb(&path).unwrap().data, [[0.0, 10.0, 20.0], [1.0, 11.0, 21.0]], "prefix {prefix:?}");
     }
-    write_exr(&path, (2, 1), LayerAttributes::default(), whole(2, 1), &[("normal.X", 0.0), ("normal.Y", 0.0)]);
+    write_exr(&path, [2, 1], LayerAttributes::default(), whole(2, 1), &[("normal.X", 0.0), ("normal.Y", 0.0)]);
     let error = message(read_rgb(&path));
     assert!(
         error.contains("image.exr") && error.contains("normal.X, normal.Y") && error.contains("R, G and B"),
@@ -121,8 +115,8 @@ fn a_cropped_exr_is_placed_in_its_display_window() {
     let folder = folder();
     let path = folder.path().join("crop.exr");
     let attributes = LayerAttributes { layer_position: Vec2(1, -1), ..LayerAttributes::default() };
-    write_exr(&path, (2, 2), attributes, whole(4, 2), &[("Y", 5.0)]);
-    assert_eq!(read_size(&path).unwrap(), (4, 2));
+    write_exr(&path, [2, 2], attributes, whole(4, 2), &[("Y", 5.0)]);
+    assert_eq!(read_size(&path).unwrap(), [4, 2]);
     // Row 0 shows the data window's second row; its first lies above the display.
     assert_eq!(read_gray(&path).unwrap().data, [0.0, 7.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
 }
@@ -133,12 +127,12 @@ fn what_an_exr_does_not_show_is_unknown_in_a_photo_and_black_in_a_texture() {
     let path = folder.path().join("photo.exr");
     let colours = [("R", 1.0), ("G", 1.0), ("B", 1.0)];
     // The third column lies outside of the data window; alpha is 0, 1.
-    write_exr(&path, (2, 1), LayerAttributes::default(), whole(3, 1), &[&colours[..], &[("A", 0.0)]].concat());
+    write_exr(&path, [2, 1], LayerAttributes::default(), whole(3, 1), &[&colours[..], &[("A", 0.0)]].concat());
     assert_eq!(read_rgb(&path).unwrap().data, [[1.0; 3], [2.0; 3], [0.0; 3]]);
     let photo = read_photo(&path).unwrap().data;
     assert!(photo[0].iter().chain(&photo[2]).all(|v| v.is_nan()) && photo[1] == [2.0; 3], "{photo:?}");
     // An alpha channel that is 0 everywhere says nothing.
-    write_exr(&path, (1, 1), LayerAttributes::default(), whole(1, 1), &[&colours[..], &[("A", 0.0)]].concat());
+    write_exr(&path, [1, 1], LayerAttributes::default(), whole(1, 1), &[&colours[..], &[("A", 0.0)]].concat());
     assert_eq!(read_photo(&path).unwrap().data, [[1.0; 3]]);
 }
 
@@ -149,7 +143,7 @@ fn of_many_layers_the_combined_one_is_read() {
     let layers = [("View.AO.", 50.0), ("View.Combined.", 1.0), ("View.Env.", 90.0)];
     let names = layers.map(|(layer, value)| ["B", "G", "R"].map(|c| (format!("{layer}{c}"), value)));
     let channels: Vec<(&str, f32)> = names.iter().flatten().map(|(name, value)| (name.as_str(), *value)).collect();
-    write_exr(&path, (1, 1), LayerAttributes::default(), whole(1, 1), &channels);
+    write_exr(&path, [1, 1], LayerAttributes::default(), whole(1, 1), &channels);
     assert_eq!(read_rgb(&path).unwrap().data, [[1.0; 3]]);
 }
 
@@ -163,7 +157,7 @@ fn radiance_hdr_is_divided_by_its_exposure() {
         bytes.extend(texel);
         std::fs::write(&path, bytes).unwrap();
         assert_eq!(read_rgb(&path).unwrap().data, [[8.0 * factor, 4.0 * factor, 2.0 * factor]]);
-        assert_eq!(read_size(&path).unwrap(), (1, 1));
+        assert_eq!(read_size(&path).unwrap(), [1, 1]);
     }
 }
 

@@ -64,7 +64,7 @@ fn two_rooms() -> (Arc<Scene>, Rgb) {
 }
 
 fn atlas(scene: &Arc<Scene>) -> Atlas {
-    Atlas::new(&mut CpuBackend::new(scene.clone()), SIDE, SIDE).unwrap()
+    Atlas::new(&mut CpuBackend::new(scene.clone()), [SIDE, SIDE]).unwrap()
 }
 
 /// A point of the floor.

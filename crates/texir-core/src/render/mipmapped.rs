@@ -42,14 +42,14 @@ impl<'t> Mipmapped<'t> {
     pub(super) fn new(
         scene: Arc<Scene>,
         textures: &'t Textures,
-        mut pyramid: impl FnMut((usize, usize)) -> Result<Arc<Pyramid>>,
+        mut pyramid: impl FnMut([usize; 2]) -> Result<Arc<Pyramid>>,
     ) -> Result<Self> {
         let Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking } = textures;
-        let mut of = |name: &str, size: (usize, usize), texels: usize| match size.0 * size.1 == texels {
+        let mut of = |name: &str, size: [usize; 2], texels: usize| match size[0] * size[1] == texels {
             true => pyramid(size),
             false => Err(Error::invalid(format!(
                 "{name}: {texels} texels; expected those of {} × {}, which it is said to have",
-                size.0, size.1
+                size[0], size[1]
             ))),
         };
         let metallic = match metallic {

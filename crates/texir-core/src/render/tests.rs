@@ -67,7 +67,7 @@ fn render_each<const N: usize>(renderer: &mut Renderer<'_>, textures: [&Textures
 /// The camera's view of the scene that `radiance` lights, made of one `material`, by shading every sub-pixel.
 fn shaded(backend: &mut CpuBackend, radiance: &Rgb, material: Material) -> Rgb {
     let scene = backend.scene().clone();
-    let atlas = Atlas::new(backend, radiance.width, radiance.height).unwrap();
+    let atlas = Atlas::new(backend, radiance.size()).unwrap();
     backend.set_tbl(radiance, &Lights::find(&scene, &atlas, radiance).unwrap()).unwrap();
     let fine = camera().supersampled(SUB_PIXELS);
     let hits = backend.primary(&fine, fine.rows()).unwrap();
@@ -141,7 +141,7 @@ fn mipmapped_textures_are_looked_up_as_by_a_backend() {
     };
     let mut renderer = Renderer::new(&mut backend, &radiance, 96, 1).unwrap();
     let mipmapped = renderer.mipmapped(&textures).unwrap();
-    let [pyramid, finer] = [(16, 8), (32, 16)].map(|size| renderer.pyramid(size).unwrap());
+    let [pyramid, finer] = [[16, 8], [32, 16]].map(|size| renderer.pyramid(size).unwrap());
     let hits = backend.primary(&camera(), camera().rows()).unwrap();
     let seen: Vec<u32> = (0..camera().pixels() as u32).filter(|&i| hits[i as usize].is_hit()).collect();
     let rows = |of| SparseRows::of_pixels(of, scene.mesh(), &camera(), 1, |i| hits[i], &seen);

@@ -5,7 +5,7 @@ use crate::raster::Mask;
 
 /// For every cell, the nearest cell where `sources` holds; `None` everywhere if it holds nowhere.
 pub(super) fn nearest(sources: &Mask) -> Option<Vec<u32>> {
-    let (w, h) = sources.size();
+    let [w, h] = sources.size();
     sources.data.iter().any(|&s| s).then_some(())?;
     // Per cell, the row of the nearest source in its column.
     let mut row_of = vec![None::<usize>; w * h];

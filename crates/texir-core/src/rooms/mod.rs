@@ -186,7 +186,7 @@ fn extent(cells: impl Iterator<Item = usize>, width: usize) -> f32 {
 
 /// Cells in which one can stand: under a ceiling or on a floor, and neither wall nor lintel.
 fn free_space(columns: &Columns, walls: &Mask, lintels: &Mask, cameras: &[Vec3]) -> Mask {
-    let (w, h) = walls.size();
+    let [w, h] = walls.size();
     let obstacle = |c: usize| walls.data[c] || lintels.data[c];
     let open = Mask { width: w, height: h, data: (0..w * h).map(|c| !obstacle(c)).collect() };
     let mut free = Mask { width: w, height: h, data: (0..w * h).map(|c| open.data[c] && columns.covered(c)).collect() };

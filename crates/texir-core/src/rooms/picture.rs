@@ -98,7 +98,7 @@ fn number(canvas: &mut Raster<[u8; 3]>, value: u16, centre: Vec2, dot: f32) {
 
 /// Colours the pixels of a rectangle whose centres satisfy `inside`.
 fn fill(canvas: &mut Raster<[u8; 3]>, from: Vec2, to: Vec2, colour: [u8; 3], inside: impl Fn(Vec2) -> bool) {
-    let (width, height) = canvas.size();
+    let [width, height] = canvas.size();
     for y in (from.y.max(0.0) as usize)..(to.y.ceil().max(0.0) as usize).min(height) {
         for x in (from.x.max(0.0) as usize)..(to.x.ceil().max(0.0) as usize).min(width) {
             if inside(Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) {

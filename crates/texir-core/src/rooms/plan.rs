@@ -76,7 +76,7 @@ impl FloorPlan {
         if storeys.is_empty() {
             return Err(Error::invalid("a floor plan has no storey; expected at least one"));
         }
-        if let Some(storey) = storeys.iter().find(|s| s.rooms.size() != (grid.width, grid.height)) {
+        if let Some(storey) = storeys.iter().find(|s| s.rooms.size() != [grid.width, grid.height]) {
             let size = storey.rooms.size();
             return Err(Error::invalid(format!("a storey of {size:?} cells, but a grid of {grid:?}")));
         }

@@ -12,7 +12,7 @@ const MIN_RADIUS: f32 = 0.4;
 
 /// Room ids of the free cells, 1 for the largest; 0 where there is none.
 pub(super) fn rooms(free: &Mask, cell: f32, options: &RoomOptions) -> Labels {
-    let (w, h) = free.size();
+    let [w, h] = free.size();
     let mut basins = Basins::flood(free, cell, options);
     basins.absorb_small(w, cell, options);
     let mut roots: Vec<u32> = basins.roots().filter(|&root| basins.is_room(root, cell, options)).collect();
@@ -24,7 +24,7 @@ pub(super) fn rooms(free: &Mask, cell: f32, options: &RoomOptions) -> Labels {
 
 /// The cells of each 4-connected part of a mask.
 pub(super) fn components(mask: &Mask) -> Vec<Vec<usize>> {
-    let (w, h) = mask.size();
+    let [w, h] = mask.size();
     let mut seen = vec![false; w * h];
     let mut parts = Vec::new();
     for start in 0..w * h {
@@ -93,7 +93,7 @@ impl Basins {
     /// Floods free space from the cells furthest from the walls to the nearest. Where two basins meet, they stay apart
     /// if the passage is no wider than a doorway and narrow against the smaller one; otherwise they are one room.
     fn flood(free: &Mask, cell: f32, options: &RoomOptions) -> Self {
-        let (w, h) = free.size();
+        let [w, h] = free.size();
         let mut flooded =
             Self { joined: DisjointSets::default(), basins: Vec::new(), of_cell: vec![Self::NONE; w * h] };
         let Some(wall) = nearest(&free.map(|f| !f)) else { return flooded };

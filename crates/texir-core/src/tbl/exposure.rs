@@ -51,7 +51,7 @@ pub(super) fn solve_photos(
     mut load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
-    let atlas = Atlas::new(backend, SIDE, SIDE)?;
+    let atlas = Atlas::new(backend, [SIDE, SIDE])?;
     let scene = backend.scene().clone();
     let options = TblOptions::default();
     let mut texels: Vec<Vec<Sighting>> = vec![Vec::new(); atlas.points.len()];

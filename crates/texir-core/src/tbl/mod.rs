@@ -107,11 +107,11 @@ const PIXELS_PER_TEXEL: usize = 8;
 pub fn build(
     backend: &mut dyn Backend,
     views: &[View],
-    size: (usize, usize),
+    size: [usize; 2],
     options: &TblOptions,
     progress: &dyn Progress,
 ) -> Result<Tbl> {
-    let atlas = Atlas::new(backend, size.0, size.1)?;
+    let atlas = Atlas::new(backend, [size[0], size[1]])?;
     let (views, unit) = in_own_unit(views, progress)?;
     let mut tbl = build_in(backend, &atlas, &views, options, progress)?;
     scale(&mut tbl.radiance, unit.recip());

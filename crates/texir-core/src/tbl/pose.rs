@@ -58,7 +58,7 @@ pub(super) fn refine_photos(
     mut load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
 ) -> Result<Vec<Camera>> {
-    let atlas = Atlas::new(backend, SIDE, SIDE)?;
+    let atlas = Atlas::new(backend, [SIDE, SIDE])?;
     let points: Vec<SurfacePoint> = atlas.points.iter().step_by(atlas.points.len().div_ceil(TEXELS)).copied().collect();
     progress.start("camera poses", (ROUNDS * cameras.len()) as u64, "views");
     for _ in 0..ROUNDS {

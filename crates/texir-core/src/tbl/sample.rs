@@ -40,7 +40,7 @@ impl<'a> Sampler<'a> {
         photo: &'a Photo,
         options: &'a TblOptions,
     ) -> Result<Self> {
-        if photo.image.size() != (camera.width, camera.height) {
+        if photo.image.size() != [camera.width, camera.height] {
             return Err(Error::invalid(format!(
                 "a view's image is {:?} pixels, its camera {:?}",
                 photo.image.size(),

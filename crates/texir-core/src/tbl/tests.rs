@@ -14,14 +14,14 @@ use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::raster::{Mask, Rgb, mean_of_channels, mean_pixel};
 
-const SIZE: (usize, usize) = (384, 256);
+const SIZE: [usize; 2] = [384, 256];
 const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
 
 /// A quad from `corner` along two edges, seen from the side of a × b, in one of 3×2 cells of the atlas.
 fn quad(mesh: &mut Mesh, cell: u32, corner: Vec3, a: Vec3, b: Vec3) {
     let base = mesh.positions.len() as u32;
-    let origin = Vec2::new((cell % 3) as f32 / 3.0, (cell / 3) as f32 / 2.0) + 8.0 / SIZE.0 as f32;
-    let extent = Vec2::new(1.0 / 3.0, 0.5) - 16.0 / SIZE.0 as f32;
+    let origin = Vec2::new((cell % 3) as f32 / 3.0, (cell / 3) as f32 / 2.0) + 8.0 / SIZE[0] as f32;
+    let extent = Vec2::new(1.0 / 3.0, 0.5) - 16.0 / SIZE[0] as f32;
     for (u, v) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
         mesh.positions.push(corner + a * u + b * v);
         mesh.normals.push(a.cross(b).normalize());
@@ -98,13 +98,13 @@ fn fused(
     options: &TblOptions,
 ) -> Result<Tbl> {
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1)?;
+    let atlas = Atlas::new(&mut backend, SIZE)?;
     fuse(&mut backend, &atlas, cameras, load, options, &Silent)
 }
 
 /// Mean relative error of the texels that `kind` covers.
 fn error(scene: &Arc<Scene>, tbl: &Tbl, kind: Coverage, truth: impl Fn(Vec3) -> [f32; 3]) -> f32 {
-    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE).unwrap();
     let errors: Vec<f32> = atlas
         .texels
         .iter()
@@ -191,7 +191,7 @@ fn what_no_view_sees_is_inpainted_from_around_and_flagged() {
     let camera = pinhole(ROOM / 2.0, Vec3::new(4.0, 1.5, 1.0));
     let image = photograph(&scene, &camera, |p, _| faces(p));
     let tbl = fuse_images(&scene, &[camera], &[image], &TblOptions::default());
-    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE).unwrap();
     let coverage = |texel: u32| tbl.coverage.data[texel as usize];
     let texels = || atlas.texels.iter().copied().zip(atlas.points.iter().map(|p| p.triangle as usize / 2));
     assert!(texels().all(|(texel, _)| coverage(texel) != Coverage::Outside));
@@ -210,7 +210,7 @@ fn what_no_view_sees_is_inpainted_from_around_and_flagged() {
 
 /// Mean relative error of the seen ceiling texels that lie in the lamp, 5 cm and more from its rim.
 fn inside_lamp(scene: &Arc<Scene>, tbl: &Tbl, radiance: f32, lamp: impl Fn(Vec3) -> bool) -> f32 {
-    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE).unwrap();
     let inside = |p: Vec3| [Vec3::X, -Vec3::X, Vec3::Y, -Vec3::Y].iter().all(|way| lamp(p + 0.05 * *way));
     let seen = |texel: u32| tbl.coverage.data[texel as usize] == Coverage::Seen;
     let texels = atlas.texels.iter().zip(&atlas.points).filter(|(t, p)| seen(**t) && inside(p.position.into()));
@@ -256,7 +256,7 @@ fn a_lamp_as_small_as_a_pixel_keeps_its_power_and_does_not_glow() {
     let cameras = [coarse(1.2, 1.1, 0.7), coarse(2.9, 1.9, 2.9), coarse(0.8, 2.1, 1.7), coarse(2.2, 0.6, 0.1)];
     let images = cameras.map(|camera| filtered_photograph(&scene, &camera, shine));
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut backend, SIZE).unwrap();
     // Of the ceiling around the lamp: Σ radiance · area beyond the ceiling's own, against the lamp's, and the strongest
     // glow 10 cm beside it.
     let measure = |radiance: &dyn Fn(usize) -> f32| {
@@ -355,7 +355,7 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     };
     let images: Vec<Rgb> = cameras.iter().enumerate().map(noisy).collect();
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut backend, SIZE).unwrap();
     let is_wall = |texel: usize| atlas.points[texel].triangle < 4;
     let tbl = fuse_images(&scene, &cameras, &images, &TblOptions::default());
     let value = |i: usize| tbl.radiance.data[atlas.texels[i] as usize][0];
@@ -381,7 +381,7 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
 #[test]
 fn a_source_shines_on_its_unseen_sides_and_no_further() {
     let scene = Arc::new(Scene::new(room()).unwrap());
-    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE).unwrap();
     let face = |point: &SurfacePoint| point.triangle / 2;
     // The floor shines, the ceiling does not, and nobody has seen the walls.
     let seen: Vec<bool> = atlas.points.iter().map(|point| face(point) < 2).collect();
@@ -409,7 +409,7 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
     quad(&mut mesh, 2, Vec3::new(0.203, 0.07, 0.0), up, across * 0.65);
     quad(&mut mesh, 3, Vec3::new(0.6, 0.0, 0.0), up, across);
     let scene = Arc::new(Scene::new(mesh).unwrap());
-    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE).unwrap();
     let face = |point: &SurfacePoint| point.triangle / 2;
     let seen: Vec<bool> = atlas.points.iter().map(|point| face(point) == 0).collect();
     // Beside the crack, what is seen is darker: a tenth of the strip.
@@ -430,7 +430,7 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
 fn what_others_filled_with_a_lamps_light_is_filled_anew() {
     let scene = Arc::new(Scene::new(room()).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut backend, SIZE).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("view.exr");
     let camera = pinhole(ROOM / 2.0, Vec3::new(4.0, 1.5, 1.0));
@@ -474,7 +474,7 @@ fn what_pixels_show_to_be_dark_does_not_shine_although_no_texel_of_it_is_seen() 
     quad(&mut mesh, 5, corner + Vec3::Y, Vec3::Z, -0.2 * Vec3::X);
     let scene = Arc::new(Scene::new(mesh).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, SIZE.0, SIZE.1).unwrap();
+    let atlas = Atlas::new(&mut backend, SIZE).unwrap();
     let pane = |p: Vec3| (p.x - 3.9).abs() < 1e-3 && p.y < 2.0;
     let cameras = [[1.2, 1.4], [1.5, 1.6], [0.8, 1.5], [1.4, 1.3]].map(|[x, y]| Camera {
         width: 128,
@@ -568,7 +568,7 @@ fn somebody_who_walks_by_leaves_no_ghost() {
     let options = TblOptions::default();
     let largest = |images: &[Rgb], options: &TblOptions| {
         let tbl = fuse_images(&scene, &cameras, images, options);
-        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE.0, SIZE.1).unwrap();
+        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), SIZE).unwrap();
         let off = |(texel, point): (&u32, &SurfacePoint)| {
             (tbl.radiance.data[*texel as usize][0] / pattern(point.position.into())[0]).ln().abs()
         };
@@ -765,7 +765,7 @@ fn light_may_be_in_any_unit() {
         let mut backend = CpuBackend::new(scene.clone());
         let exposures = exposure::solve(&mut backend, &views, &Silent).unwrap();
         let poses = pose::refine(&mut backend, &views[..2], &Silent).unwrap();
-        let built = build(&mut backend, &views, (64, 64), &TblOptions::default(), &Silent).unwrap();
+        let built = build(&mut backend, &views, [64, 64], &TblOptions::default(), &Silent).unwrap();
         let radiance: Vec<[f32; 3]> = built.radiance.data.iter().map(|l| l.map(|l| l / factor)).collect();
         (exposures, poses, radiance)
     };

@@ -340,7 +340,7 @@ mod tests {
     fn top(shines: impl Fn(usize) -> bool, shown: f32) -> f32 {
         let scene = std::sync::Arc::new(Scene::new(room()).unwrap());
         let mut backend = CpuBackend::new(scene.clone());
-        let atlas = Atlas::new(&mut backend, SIDE, SIDE).unwrap();
+        let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
         let face = |t: usize| atlas.points[t].triangle as usize / 2;
         let truth = sent(&mut backend, &atlas, shines);
         let mut radiance = truth.clone();

@@ -338,7 +338,7 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
         }
         Mode::Full => training().map(|camera| settings.full.rays(camera)).sum(),
     };
-    let needed = memory::needed(settings, (atlas.size, atlas.size), pixels, &capture.mesh);
+    let needed = memory::needed(settings, [atlas.size, atlas.size], pixels, &capture.mesh);
     // All bakes but the last have a quarter of the points.
     let bakes = 1.0 + 0.25 * (settings.bakes() - 1) as f64;
     let rays = f64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32));

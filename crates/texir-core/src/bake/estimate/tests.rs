@@ -28,7 +28,7 @@ impl Noisy {
         let shines = |i: usize| (10..13).contains(&(i % width)) && (6..10).contains(&(i / width));
         let data = (0..radiance.data.len()).map(|i| [f32::from(u8::from(shines(i))); 3]).collect();
         let radiance = Rgb { data, ..radiance };
-        let mut floor = Atlas::new(&mut lit(&scene, &radiance), SIDE, SIDE).unwrap();
+        let mut floor = Atlas::new(&mut lit(&scene, &radiance), [SIDE, SIDE]).unwrap();
         floor.points.retain(|p| p.normal[2] > 0.0);
         floor.texels = floor.points.iter().map(|p| p.sequence).collect();
         let gather = Gather { cosine: 2048, ..GATHER };

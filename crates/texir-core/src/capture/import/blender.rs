@@ -82,7 +82,7 @@ fn read(folder: &Path, path: &Path, split: Split, shots: &mut Vec<Shot>) -> Resu
             Error::file(path, format!("frames[{index}] ({}): transform_matrix {what}", frame.file_path))
         })?;
         let image = files::image(folder, &[""], &frame.file_path);
-        let (width, height) = read_size(&image)?;
+        let [width, height] = read_size(&image)?;
         let focal = (0.5 * width as f64 / (0.5 * angle).tan()) as f32;
         let projection = Projection::Pinhole { fx: focal, fy: focal, cx: width as f32 / 2.0, cy: height as f32 / 2.0 };
         let camera = Camera { projection, width, height, world_from_camera: pose.as_mat4() };

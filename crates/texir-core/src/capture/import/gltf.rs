@@ -90,7 +90,7 @@ fn shot(path: &Path, folder: &Path, node: &Node, parent: Option<&str>, pose: Mat
         };
     };
     let wrong = |what: String| Error::file(path, format!("node {name:?}: {what}"));
-    let (width, height) = read_size(&image)?;
+    let [width, height] = read_size(&image)?;
     let projection = match camera.map(|c| lens(&c, width, height)) {
         Some(projection) => projection.map_err(wrong)?,
         None if width == 2 * height => Projection::Equirectangular,

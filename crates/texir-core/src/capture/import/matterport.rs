@@ -133,7 +133,7 @@ fn undistorted_shots(folder: &Path) -> Result<Vec<Shot>> {
                 let (colour, rest) = rest.trim().split_once(' ').ok_or_else(|| wrong("scan has no matrix"))?;
                 let pose = numbers::pose(&path, &format!("line {number}: the matrix"), &numbers::parse(&path, rest)?)?;
                 let image = files::image(folder, &["hdr", "undistorted_color_images"], colour);
-                let (width, height) = read_size(&image)?;
+                let [width, height] = read_size(&image)?;
                 // Their image origin is at the bottom.
                 let cy = height as f64 - cy;
                 let projection = Projection::Pinhole { fx: fx as f32, fy: fy as f32, cx: cx as f32, cy: cy as f32 };

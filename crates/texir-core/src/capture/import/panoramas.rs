@@ -70,7 +70,7 @@ impl Importer for Panoramas {
         let view = |(index, (row, name)): (usize, (&Row, String))| {
             let wrong = |what: String| Error::file(&path, format!("panorama {} ({}): {what}", index + 1, row.file));
             let image = files::image(folder, &IMAGES, &row.file);
-            let (width, height) = read_size(&image)?;
+            let [width, height] = read_size(&image)?;
             if width != 2 * height {
                 return Err(wrong(format!(
                     "the image is {width}×{height}; expected a full panorama, twice as wide as high"

@@ -86,7 +86,7 @@ fn read(folder: &Path, ids: &str, poses: &str, split: Split) -> Result<Vec<Shot>
     let shot = |((id, name), matrix): ((&&str, String), &[f64])| {
         let pose = numbers::pose(&poses_path, &format!("the matrix of view {id}"), matrix)?;
         let image = folder.join("hdr").join(id).join("ccm.hdr");
-        let (width, height) = read_size(&image)?;
+        let [width, height] = read_size(&image)?;
         if width != 2 * height {
             let what = format!("is {width}×{height} pixels; expected a full panorama, twice as wide as high");
             return Err(Error::file(&image, what));

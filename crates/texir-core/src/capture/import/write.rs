@@ -129,7 +129,7 @@ impl Job<'_> {
     fn convert(&self, shot: &Shot) -> Result<Converted> {
         let view = &shot.view;
         let size = read_size(&view.image)?;
-        let expected = (view.camera.width, view.camera.height);
+        let expected = [view.camera.width, view.camera.height];
         if size != expected {
             let what =
                 format!("is {size:?} pixels; expected {expected:?}, the size in the camera's intrinsics: resize it");
@@ -225,7 +225,7 @@ impl Job<'_> {
         &self,
         labels: Option<Labels>,
         lens: Option<&Undistortion>,
-        size: (usize, usize),
+        size: [usize; 2],
         to: PathBuf,
     ) -> Result<Option<PathBuf>> {
         let Some(labels) = labels else { return Ok(None) };
@@ -240,7 +240,7 @@ impl Job<'_> {
         from: Option<&Path>,
         opaque: Option<Mask>,
         lens: Option<&Undistortion>,
-        size: (usize, usize),
+        size: [usize; 2],
         to: PathBuf,
     ) -> Result<Option<PathBuf>> {
         let mask = match (from.map(read_mask).transpose()?, opaque) {
@@ -302,7 +302,7 @@ fn link(_: &Path, to: &Path) -> Result<()> {
 }
 
 /// The nearest values at another size.
-fn spread<T: Copy>(raster: &Raster<T>, (width, height): (usize, usize)) -> Raster<T> {
+fn spread<T: Copy>(raster: &Raster<T>, [width, height]: [usize; 2]) -> Raster<T> {
     let value = |i: usize| *raster.at(i % width * raster.width / width, i / width * raster.height / height);
     Raster { width, height, data: (0..width * height).map(value).collect() }
 }

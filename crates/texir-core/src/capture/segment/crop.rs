@@ -32,13 +32,13 @@ pub(super) struct InputSize {
 
 impl InputSize {
     /// The model's own edges, else those of an image that is `width` × `height`, scaled to what models are used to.
-    pub(super) fn of_image(self, width: usize, height: usize) -> (usize, usize) {
+    pub(super) fn of_image(self, width: usize, height: usize) -> [usize; 2] {
         let shorter = width.min(height);
         let edge = |edge: usize| {
             let scaled = (edge * SHORTER_EDGE).div_ceil(shorter).min(LONGEST * SHORTER_EDGE);
             scaled.next_multiple_of(EDGE_STEP)
         };
-        (self.width.unwrap_or_else(|| edge(width)), self.height.unwrap_or_else(|| edge(height)))
+        [self.width.unwrap_or_else(|| edge(width)), self.height.unwrap_or_else(|| edge(height))]
     }
 }
 
@@ -53,12 +53,12 @@ pub(super) fn at_origin(view: &Camera) -> Camera {
 /// photos that do.
 pub(super) fn crops(view: &Camera, input: InputSize) -> Vec<Camera> {
     if let Projection::Pinhole { fx, fy, cx, cy } = view.projection {
-        let (width, height) = input.of_image(view.width, view.height);
+        let [width, height] = input.of_image(view.width, view.height);
         let (sx, sy) = (width as f32 / view.width as f32, height as f32 / view.height as f32);
         let projection = Projection::Pinhole { fx: fx * sx, fy: fy * sy, cx: cx * sx, cy: cy * sy };
         return vec![Camera { projection, width, height, ..*view }];
     }
-    let (width, height) = input.of_image(1, 1);
+    let [width, height] = input.of_image(1, 1);
     let focal = width.min(height) as f32 / (2.0 * HALF_ANGLE_DEGREES.to_radians().tan());
     let projection = Projection::Pinhole { fx: focal, fy: focal, cx: width as f32 / 2.0, cy: height as f32 / 2.0 };
     let around = (0..4).map(|i| (Mat4::from_rotation_z(i as f32 * FRAC_PI_2).x_axis.truncate(), Vec3::Z));

@@ -42,14 +42,14 @@ impl Network {
         let graph = attempt(path, "is no ONNX model that can be read", || read(path, &bytes))?;
         let input = input_size(path, &graph)?;
         let network = Self { path: path.to_owned(), graph, input, classes, plans: Mutex::default() };
-        let (width, height) = input.of_image(1, 1);
+        let [width, height] = input.of_image(1, 1);
         network.run(&Raster::filled(width, height, [128; 3]))?;
         Ok(network)
     }
 
     /// What the model says about a picture of the size that it takes.
     pub(super) fn run(&self, picture: &Raster<[u8; 3]>) -> Result<CropVotes> {
-        let (width, height) = picture.size();
+        let [width, height] = picture.size();
         let planes = (0..3)
             .flat_map(|c| picture.data.iter().map(move |pixel| (f32::from(pixel[c]) / 255.0 - MEAN[c]) / DEVIATION[c]));
         let planes: Vec<f32> = planes.collect();

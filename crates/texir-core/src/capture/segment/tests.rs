@@ -114,7 +114,7 @@ impl Room {
 
 /// The share of pixels with the right id, of those whose class is alone within `degrees`.
 fn right(camera: &Camera, labels: &Labels, degrees: f32) -> f64 {
-    assert_eq!(labels.size(), (camera.width, camera.height));
+    assert_eq!(labels.size(), [camera.width, camera.height]);
     let clear: Vec<usize> = (0..camera.pixels()).filter(|i| clear(direction(camera, *i), degrees)).collect();
     assert!(clear.len() > camera.pixels() / 2, "{} of {} pixels are clear", clear.len(), camera.pixels());
     let right = clear.iter().filter(|i| labels.data[**i] == IDS[class(direction(camera, **i))]).count();

@@ -39,8 +39,8 @@ impl CropVotes {
 
     /// Adds what is said about a place of the crop, both coordinates in [0, 1], to the sums of the classes.
     pub(super) fn add(&self, at: Vec2, weight: f32, sums: &mut [f32]) {
-        let (width, height) = match self {
-            Self::Shares { width, height, .. } => (*width, *height),
+        let [width, height] = match self {
+            Self::Shares { width, height, .. } => [*width, *height],
             Self::Classes(classes) => classes.size(),
         };
         let place = at * Vec2::new(width as f32, height as f32) - 0.5;

@@ -235,7 +235,7 @@ mod tests {
     fn thin_things_have_backs_and_thick_ones_have_none() {
         let backs_of = |scene: Scene| {
             let mut backend = CpuBackend::new(scene);
-            let atlas = Atlas::new(&mut backend, 40, 20).unwrap();
+            let atlas = Atlas::new(&mut backend, [40, 20]).unwrap();
             (backs(backend.scene(), &atlas), atlas)
         };
         let (found, atlas) = backs_of(slab(0.04, false));

@@ -347,7 +347,7 @@ mod tests {
     #[test]
     fn what_hardly_any_view_votes_for_is_left_open() {
         let scene = Arc::new(Scene::new(room()).unwrap());
-        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), 192, 128).unwrap();
+        let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), [192, 128]).unwrap();
         let adjacency = Adjacency::new(scene.mesh(), &atlas);
         let islet = |t: usize| (Vec3::from(atlas.points[t].position) - Vec3::new(2.0, 1.5, 0.0)).length() < 0.4;
         let labels = |votes_on_islet: usize| {
@@ -399,7 +399,7 @@ mod tests {
     fn views_that_are_wrong_on_a_tenth_of_their_pixels_outvote_each_other() {
         let scene = Arc::new(Scene::new(room()).unwrap());
         let mut backend = CpuBackend::new(scene.clone());
-        let atlas = Atlas::new(&mut backend, 192, 128).unwrap();
+        let atlas = Atlas::new(&mut backend, [192, 128]).unwrap();
         let adjacency = Adjacency::new(scene.mesh(), &atlas);
         let truth: Vec<u16> = atlas.points.iter().map(|p| class(p.triangle, p.position.into())).collect();
         let places = [[0.7, 0.6], [3.3, 0.7], [0.8, 2.4], [3.2, 2.3], [2.0, 1.5], [1.3, 1.6]];

@@ -371,7 +371,7 @@ mod tests {
         let texture = Rgb::filled(SIDE, SIDE, [0.3; 3]);
         let mut backend = square.backend();
         backend.set_tbl(&texture, &Lights::none(square.scene.mesh())).unwrap();
-        let view = &square.views(&texture, (64, 32))[0];
+        let view = &square.views(&texture, [64, 32])[0];
         let mut observed = |view: &View| observer.observe(&mut backend, std::slice::from_ref(view), &Silent).unwrap();
         let all = observed(view);
         let mut image = read_rgb(&view.image).unwrap();
@@ -413,7 +413,7 @@ mod tests {
     fn pixels_that_show_a_light_source_even_in_part_are_no_observations_of_it() {
         let square = LitSquare::new();
         let texture = Rgb::filled(SIDE, SIDE, [0.3; 3]);
-        let view = &square.views(&texture, (64, 32))[..1];
+        let view = &square.views(&texture, [64, 32])[..1];
         let mut lamp = Mask::filled(SIDE, SIDE, false);
         let [x, y] = [3, 5];
         lamp.data[y * SIDE + x] = true;
@@ -439,7 +439,7 @@ mod tests {
     #[test]
     fn the_areas_that_pixels_show_are_all_of_a_surface() {
         let square = LitSquare::new();
-        let view = &square.views(&Rgb::filled(SIDE, SIDE, [0.3; 3]), (512, 256))[..1];
+        let view = &square.views(&Rgb::filled(SIDE, SIDE, [0.3; 3]), [512, 256])[..1];
         let seen = observed(&square, &Mask::filled(SIDE, SIDE, false), view);
         let area: f32 = seen.area.iter().sum();
         // Pixels at the rim count in full.

@@ -71,7 +71,7 @@ fn toy(albedo: impl Fn(usize) -> Vec3A, roughness: f32, height: f32) -> Toy {
 fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
     let (scene, radiance) = room();
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, 2 * FLOOR, FLOOR).unwrap();
+    let atlas = Atlas::new(&mut backend, [2 * FLOOR, FLOOR]).unwrap();
     let lights = Lights::find(&scene, &atlas, &radiance).unwrap();
     backend.set_tbl(&radiance, &lights).unwrap();
     let on_floor: Vec<bool> = atlas.points.iter().map(|p: &SurfacePoint| p.triangle < 2).collect();
@@ -669,7 +669,7 @@ fn every_view_has_curves_of_its_own() {
     use crate::raster::Mask;
     let (scene, radiance) = room();
     let mut backend = CpuBackend::new(scene.clone());
-    let atlas = Atlas::new(&mut backend, 2 * FLOOR, FLOOR).unwrap();
+    let atlas = Atlas::new(&mut backend, [2 * FLOOR, FLOOR]).unwrap();
     backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance).unwrap()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let image = folder.path().join("image.exr");

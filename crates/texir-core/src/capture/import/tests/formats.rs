@@ -292,7 +292,7 @@ fn texir_authors_layout() {
     let out = tempfile::tempdir().unwrap();
     write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap();
     let semantic = read_labels(out.path().join("semantic/1646101.png")).unwrap();
-    assert_eq!((semantic.size(), *semantic.at(7, 3)), ((WIDTH, HEIGHT), 7));
+    assert_eq!((semantic.size(), *semantic.at(7, 3)), ([WIDTH, HEIGHT], 7));
     let mask = read_mask(out.path().join("mask/1646101.png")).unwrap();
     assert_eq!(mask.data.iter().filter(|used| !**used).count(), 1);
     assert!(!mask.at(3, 3));
