@@ -29,7 +29,7 @@ use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::surface::{Hit, SurfacePoint, TexelHit};
+use crate::surface::{SurfacePoint, TexelHit};
 
 /// Cells per texel and axis over which materials are looked up: a texel may show several triangles.
 const LOOKUPS: usize = 2;
@@ -202,7 +202,7 @@ impl Model {
                 let (x, y) = (point.sequence as usize % width, point.sequence as usize / width - rows.start);
                 let points =
                     (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
-                let found: Vec<Hit> = points.filter_map(|i| hits[i].as_ref().map(TexelHit::hit)).collect();
+                let found: Vec<&TexelHit> = points.filter_map(|i| hits[i].as_ref()).collect();
                 let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
                     let at = self.over(hit, cells, materials[hit.triangle as usize]);
                     [sum[0] + at[0], sum[1] + at[1]]
@@ -303,7 +303,7 @@ impl Model {
     }
 
     /// Albedo and emission, the mean over the cell around a hit, of a map of so many `cells`.
-    fn over(&self, hit: &Hit, cells: Vec2, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
+    fn over(&self, hit: &TexelHit, cells: Vec2, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
         let footprint = Footprint::new(hit, self.mesh.corner_uvs(hit.triangle).map(|uv| uv * cells));
         let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
         let of_set = |set: usize| self.parts[part].uvs.get(set).map(|uvs| corners.map(|i| uvs[i]));

@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::image_io::{TransferCurve, limits};
 use crate::mesh_io::gltf as geometry;
 use crate::raster::Raster;
-use crate::surface::Hit;
+use crate::surface::TexelHit;
 
 /// Most samples along each side of what is looked up: what is wider is looked up in a coarser image.
 const SAMPLES: f32 = 4.0;
@@ -48,7 +48,7 @@ impl Colour {
 }
 
 /// What of a triangle a texel of the lightmap covers, or a part of a texel: a parallelogram in barycentric coordinates,
-/// (u, v) as in [`Hit`].
+/// (u, v) as in [`TexelHit`].
 pub(super) struct Footprint {
     centre: Vec2,
     /// Along the map's columns and along its rows.
@@ -59,13 +59,13 @@ pub(super) struct Footprint {
 
 impl Footprint {
     /// Of the cell around a hit of a texel map, where `corners` are the triangle's place in the map, in cells.
-    pub fn new(hit: &Hit, [a, b, c]: [Vec2; 3]) -> Self {
+    pub fn new(hit: &TexelHit, [a, b, c]: [Vec2; 3]) -> Self {
         let cells = Mat2::from_cols(b - a, c - a);
         let area = 0.5 * cells.determinant().abs();
         let sides = if area == 0.0 { Mat2::ZERO } else { cells.inverse() };
         // Most triangles go on in their neighbours. Where a chart ends, the cell's centre is as often outside, which
         // only touches it.
-        let ends = area < 1.0 || hit.t == 0.0;
+        let ends = area < 1.0 || !hit.inside;
         Self { centre: Vec2::new(hit.u, hit.v), sides: [sides.x_axis, sides.y_axis], ends }
     }
 

@@ -1,7 +1,7 @@
 //! The built-in synthetic flat: a furnished home with ground-truth materials, path-traced into a capture.
 //!
 //! Data flows one way: [`FlatOptions`] → floor plan (`layout`) → charts (`shell`, `furniture`) → mesh, atlas and
-//! painted textures ([`Flat`], `atlas`, `paint`) → camera poses ([`shots`]) → light in the atlas (`irradiance`) →
+//! painted textures ([`Flat`], `atlas`, `paint`) → camera poses ([`panoramas`]) → light in the atlas (`irradiance`) →
 //! images ([`render`]) → a capture folder ([`write`](write())). Everything follows from the seed.
 
 mod atlas;
