@@ -29,7 +29,7 @@ use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::image_io::{encode_png, encode_srgb};
 use crate::mesh::Mesh;
-use crate::raster::{Gray, Raster, Rgb};
+use crate::raster::{Gray, Raster, Rgb, times};
 
 /// Textures in the mesh's atlas.
 #[derive(Clone, Copy, Debug)]
@@ -316,9 +316,9 @@ fn pack_metallic_roughness(of: &Materials) -> Result<Raster<[u8; 3]>> {
     };
     if metallic.size() != roughness.size() {
         return Err(Error::invalid(format!(
-            "the metallic map is {:?} texels and the roughness map {:?}; expected one size: they share an image",
-            metallic.size(),
-            roughness.size()
+            "the metallic map is {} texels and the roughness map {}; expected one size: they share an image",
+            times(metallic.size()),
+            times(roughness.size())
         )));
     }
     let both = roughness.data.iter().zip(&metallic.data).map(|(r, m)| [*r, *m]).collect();
@@ -426,7 +426,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.glb");
         let error = write_glb(&path, &mesh(), &of, Up::Z).unwrap_err().to_string();
-        assert!(error.contains("(2, 1)") && error.contains("(1, 1)"), "{error}");
+        assert!(error.contains("2×1") && error.contains("1×1"), "{error}");
         assert!(!path.exists());
     }
 }

@@ -4,6 +4,11 @@ use glam::{DVec2, Vec2};
 
 use crate::error::{Error, Result};
 
+/// A size, as messages have it.
+pub(crate) fn times([width, height]: [usize; 2]) -> String {
+    format!("{width}×{height}")
+}
+
 /// A row-major `height × width` array, row 0 on top.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Raster<T> {

@@ -13,6 +13,7 @@ use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
 use crate::mesh_io::{atlas_report, is_gltf, read_mesh};
 use crate::progress::Progress;
+use crate::raster::times;
 use crate::scene::Scene;
 
 /// Looked for in this order.
@@ -228,7 +229,7 @@ fn truth(albedo: PathBuf, roughness: PathBuf) -> Result<Truth> {
     if of_albedo != of_roughness {
         return Err(Error::file(
             &roughness,
-            format!("is {of_roughness:?} texels; expected {of_albedo:?}, as {} has", albedo.display()),
+            format!("is {} texels; expected {}, as {} has", times(of_roughness), times(of_albedo), albedo.display()),
         ));
     }
     [&albedo, &roughness].into_iter().try_for_each(check_whole)?;

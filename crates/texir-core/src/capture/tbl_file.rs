@@ -6,6 +6,7 @@ use super::{Coverage, Tbl};
 use crate::error::{Error, Result};
 use crate::image_io::{read_labels, read_rgb, sanitise_radiance, write_png_labels, write_rgb};
 use crate::progress::Progress;
+use crate::raster::times;
 
 const SEEN: u16 = 255;
 const INPAINTED: u16 = 128;
@@ -45,7 +46,12 @@ impl Tbl {
         if levels.size() != radiance.size() {
             return Err(Error::file(
                 &mask_path,
-                format!("is {:?} texels; expected {:?}, as {} has", levels.size(), radiance.size(), path.display()),
+                format!(
+                    "is {} texels; expected {}, as {} has",
+                    times(levels.size()),
+                    times(radiance.size()),
+                    path.display()
+                ),
             ));
         }
         if let Some(level) = levels.data.iter().find(|level| ![SEEN, INPAINTED, OUTSIDE].contains(level)) {

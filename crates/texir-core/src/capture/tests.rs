@@ -447,7 +447,7 @@ fn doubtful_atlases_and_poses_are_warned_about() {
     let (_, warnings) = load_warned(&folder);
     assert_says(&warnings[1], &["albedo_tex.exr", "needs both"]);
     write_gray(folder.path().join("roughness_tex.exr"), &Gray::filled(2, 1, 0.5)).unwrap();
-    assert_says(&message(&folder), &["roughness_tex.exr", "(2, 1)", "expected (1, 1)", "albedo_tex.exr"]);
+    assert_says(&message(&folder), &["roughness_tex.exr", "2×1", "expected 1×1", "albedo_tex.exr"]);
 }
 
 /// What one is warned of where the cameras with indices in `turned` have OpenCV's axes.

@@ -11,6 +11,7 @@ use crate::capture::{Tbl, View};
 use crate::error::Result;
 use crate::light_unit::{scale, scale_views, unit};
 use crate::progress::Progress;
+use crate::raster::times;
 use crate::tbl::{self, TblOptions};
 
 /// What a fit sets out with.
@@ -44,8 +45,9 @@ pub(super) fn lighting(
     };
     if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
         progress.warn(&format!(
-            "the HDR texture has {:?} texels, and fit.atlas_size asks for {size:?}: it is not used, but made anew of the views",
-            tbl.radiance.size()
+            "the HDR texture has {} texels, and fit.atlas_size asks for {}: it is not used, but made anew of the views",
+            times(tbl.radiance.size()),
+            times(size)
         ));
     }
     let given = given.filter(|tbl| tbl.radiance.size() == size);

@@ -14,7 +14,7 @@ use self::response::Response;
 use crate::error::{Error, Result};
 use crate::image_io::{Encoded, TransferCurve, read_encoded, read_size};
 use crate::progress::Progress;
-use crate::raster::Rgb;
+use crate::raster::{Rgb, times};
 
 /// Pixels whose brackets the response is estimated from.
 const RESPONSE_SAMPLES: usize = 20_000;
@@ -107,7 +107,7 @@ fn check(shots: &[Frame]) -> Result<[usize; 2]> {
     for shot in rest {
         let found = read_size(&shot.path)?;
         if found != size {
-            let what = format!("is {found:?} pixels; expected {size:?}, as {} has", first.path.display());
+            let what = format!("is {} pixels; expected {}, as {} has", times(found), times(size), first.path.display());
             return Err(Error::file(&shot.path, what));
         }
     }

@@ -298,7 +298,7 @@ fn series_that_cannot_be_merged_are_errors() {
     let other = folder.path().join("other.png");
     crate::image_io::write_png_gray(&other, &Raster::filled(2, 2, 0.5)).unwrap();
     odd[1] = Frame { path: other, exposure: 1.0 };
-    assert!(message(&odd, known).contains("(2, 2)"));
+    assert!(message(&odd, known).contains("2×2"));
     // Two shots without a pixel in common.
     let far = [shots[0].clone(), Frame { exposure: 1e9, ..shots[6].clone() }];
     let dark = |_| Rgb::filled(WIDTH, HEIGHT, [1e-4 / exposure(TIMES[6]) as f32; 3]);

@@ -5,7 +5,7 @@ use crate::atlas::Atlas;
 use crate::distribution::{CONTRAST, cumulative};
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
-use crate::raster::{Rgb, luminance};
+use crate::raster::{Rgb, luminance, times};
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
@@ -16,9 +16,13 @@ impl Lights {
     /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size, and
     /// is one of the scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
-        let [own, others] = [(atlas.width, atlas.height), (radiance.width, radiance.height)];
+        let (own, others) = ([atlas.width, atlas.height], radiance.size());
         if own != others || radiance.data.len() != radiance.width * radiance.height {
-            return Err(Error::invalid(format!("the radiance has {others:?} texels; expected the atlas's {own:?}")));
+            return Err(Error::invalid(format!(
+                "the radiance has {} texels; expected the atlas's {}",
+                times(others),
+                times(own)
+            )));
         }
         let mut finder = Finder::new(scene, radiance, atlas.points.len());
         finder.take(&atlas.points)?;

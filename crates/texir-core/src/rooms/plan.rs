@@ -6,7 +6,7 @@ use glam::{Mat3, Vec2, Vec3};
 
 use super::{distance, picture};
 use crate::error::{Error, Result};
-use crate::raster::{Labels, Mask};
+use crate::raster::{Labels, Mask, times};
 
 /// The cells of a floor plan, alike for all storeys. Plan coordinates: x and y in the floor's plane, z up, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,7 +78,7 @@ impl FloorPlan {
         }
         if let Some(storey) = storeys.iter().find(|s| s.rooms.size() != [grid.width, grid.height]) {
             let size = storey.rooms.size();
-            return Err(Error::invalid(format!("a storey of {size:?} cells, but a grid of {grid:?}")));
+            return Err(Error::invalid(format!("a storey of {} cells, but a grid of {grid:?}", times(size))));
         }
         storeys.sort_by(|a, b| a.from.total_cmp(&b.from));
         Ok(Self { grid, storeys, plan_from_world: plan_from_world(up) })

@@ -8,6 +8,7 @@ use super::shown::{Shown, pixels_per_steradian};
 use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::raster::times;
 use crate::surface::SurfacePoint;
 
 /// The filter is no wider than this many pixels to either side.
@@ -42,9 +43,9 @@ impl<'a> Sampler<'a> {
     ) -> Result<Self> {
         if photo.image.size() != [camera.width, camera.height] {
             return Err(Error::invalid(format!(
-                "a view's image is {:?} pixels, its camera {:?}",
-                photo.image.size(),
-                (camera.width, camera.height)
+                "a view's image is {} pixels, its camera {}",
+                times(photo.image.size()),
+                times([camera.width, camera.height])
             )));
         }
         Ok(Self { camera, photo, shown: Shown::new(backend, camera)?, options })

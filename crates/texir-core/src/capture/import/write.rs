@@ -17,7 +17,7 @@ use crate::image_io::{
 };
 use crate::mesh_io::obj;
 use crate::progress::Progress;
-use crate::raster::{Labels, Mask, Raster};
+use crate::raster::{Labels, Mask, Raster, times};
 
 /// The file that makes a folder a capture.
 const TRANSFORMS: &str = "transforms.json";
@@ -131,8 +131,11 @@ impl Job<'_> {
         let size = read_size(&view.image)?;
         let expected = [view.camera.width, view.camera.height];
         if size != expected {
-            let what =
-                format!("is {size:?} pixels; expected {expected:?}, the size in the camera's intrinsics: resize it");
+            let what = format!(
+                "is {} pixels; expected {}, the size in the camera's intrinsics: resize it",
+                times(size),
+                times(expected)
+            );
             return Err(Error::file(&view.image, what));
         }
         let lens = match shot.distortion {
