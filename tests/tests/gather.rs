@@ -129,7 +129,7 @@ fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
 #[test]
 fn buffers_and_textures_hold_the_same_hierarchy() {
     let gpu = gpu();
-    let scene = Arc::new(Scene::new(scenes::subdivided(room().mesh(), 3)).unwrap());
+    let scene = Arc::new(Scene::new(scenes::subdivided(room().mesh(), 4)).unwrap());
     assert!(scene.nodes().len() > 8192 * 16, "its nodes are in one row of a texture");
     let points = points(&scene, 200);
     let [buffers, textures] = [HierarchyStorage::Buffers, HierarchyStorage::Textures].map(|place| {
