@@ -30,8 +30,7 @@ use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::pass::{WORKGROUP, specular_table};
-use crate::scene::{HierarchyStorage, TEXTURE_COLUMNS};
-use crate::scene::{LightGrid, LightPrimitive};
+use crate::scene::{HierarchyStorage, LightGrid, LightPrimitive, TEXTURE_COLUMNS};
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -266,7 +265,7 @@ fn constants_that_both_have_are_the_same() {
     }
 }
 
-/// Every entry point, composed with what suits every adapter.
+/// Visits every entry point of every pass, in every variant.
 fn entry_points(mut visit: impl FnMut(&Composed, usize)) {
     for shader in SHADERS.passes() {
         for variant in Variant::all() {

@@ -192,3 +192,40 @@ fn within(pyramid: &Pyramid, touched: impl Iterator<Item = u32>) -> Result<()> {
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_those_that_there_are() {
+        for wrong in [0..5, Range { start: 3, end: 2 }] {
+            assert!(rows(&wrong, 4).is_err_and(|e| e.to_string().contains("the 4 that there are")), "{wrong:?}");
+        }
+        assert!(rows(&(0..4), 4).is_ok() && rows(&(4..4), 4).is_ok());
+    }
+
+    #[test]
+    fn texels_that_share_a_sequence_have_a_part_of_it_each() {
+        let shared = |width, part, parts| {
+            irradiance(Gather { sequences: Sequences::Shared { width, part, parts }, ..Gather::new(1, 0, 0) })
+        };
+        for [width, part, parts] in [[8, 0, 0], [8, 2, 2], [0, 0, 1]] {
+            assert!(
+                shared(width, part, parts).is_err_and(|e| e.to_string().contains("part")),
+                "{width} {part} {parts}"
+            );
+        }
+        assert!(shared(8, 1, 2).is_ok());
+    }
+
+    #[test]
+    fn what_is_shaded_is_no_perfect_mirror() {
+        let point = ShadePoint::default();
+        let shaded = |r: f32| shade(&[point], &[Material::dielectric([0.5; 3], r)], Sampling { samples: 1, seed: 0 });
+        for r in [0.0, -0.1, 1.1, f32::NAN] {
+            assert!(shaded(r).is_err_and(|e| e.to_string().contains("expected one in (0, 1]")), "{r}");
+        }
+        assert!(shaded(1e-3).is_ok() && shaded(1.0).is_ok());
+    }
+}
