@@ -83,8 +83,14 @@ impl Config {
         for assignment in &common.set {
             let from = format!("--set {assignment}");
             let change: Table = assignment.parse().map_err(|_| {
-                Failure::new(format!("{from}: expected KEY=VALUE, the value as TOML has it"))
-                    .help("text needs quotes, and those need quotes of the shell, as in --set 'fit.mode=\"paper\"'")
+                let is_number =
+                    assignment.split_once('=').is_some_and(|(_, value)| value.trim().parse::<f64>().is_ok());
+                let help = if is_number {
+                    "a point needs digits on both sides, as in 0.5"
+                } else {
+                    "text needs quotes, and those need quotes of the shell, as in --set 'fit.mode=\"paper\"'"
+                };
+                Failure::new(format!("{from}: expected KEY=VALUE, the value as TOML has it")).help(help)
             })?;
             merge(&mut table, change);
             file = from_table(&table, &from)?;
@@ -217,6 +223,8 @@ mod tests {
             error.contains("--set fit.mode=paper: expected KEY=VALUE") && error.contains("text needs quotes"),
             "{error}"
         );
+        let error = format!("{:?}", Config::resolve(&common(&["--set", "fit.stage_two.quantile=.3"])).unwrap_err());
+        assert!(error.contains("digits on both sides") && !error.contains("quotes"), "{error}");
         assert!(Config::resolve(&common(&["--set", "fit.mode=\"paper\""])).is_ok());
         assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
     }
