@@ -16,8 +16,8 @@ use rayon::prelude::*;
 
 use super::observations::Observations;
 use super::palette::Palettes;
+use super::partition::Partition;
 use super::share::{Share, of_strata};
-use super::sums;
 use crate::brdf::DIELECTRIC_F0;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
@@ -68,8 +68,8 @@ pub struct AlbedoProblem<'a> {
     pub irradiance: &'a [Vec3A],
     /// Who is beside whom.
     pub adjacency: &'a Adjacency,
-    /// Segment of each texel, and how many there are.
-    pub segment: (&'a [u32], usize),
+    /// Segments of the texels.
+    pub segment: Partition<'a>,
     /// How diffuse radiance depends on the direction to the camera.
     pub diffuse: DiffuseModel,
     /// Which texels are metal; empty where metals are not sought.
@@ -86,7 +86,7 @@ impl<'a> AlbedoProblem<'a> {
         seen: &'a Observations,
         irradiance: &'a [Vec3A],
         adjacency: &'a Adjacency,
-        segment: (&'a [u32], usize),
+        segment: Partition<'a>,
         diffuse: DiffuseModel,
         settings: &'a AlbedoSettings,
     ) -> Self {
@@ -116,13 +116,13 @@ impl<'a> AlbedoProblem<'a> {
         );
         let mean = |t: usize| (sums[t].w > 0.0).then(|| Vec3A::from_vec4(sums[t]) / sums[t].w);
         let means = self.segment_means(mean);
-        (0..sums.len()).zip(self.segment.0).map(|(t, s)| mean(t).unwrap_or(means[*s as usize])).collect()
+        (0..sums.len()).zip(self.segment.of).map(|(t, s)| mean(t).unwrap_or(means[*s as usize])).collect()
     }
 
     fn segment_means(&self, value: impl Fn(usize) -> Option<Vec3A> + Sync) -> Vec<Vec3A> {
         // The number of texels comes last.
         let of_texel = |t: usize| value(t).map(|value| value.extend(1.0).as_dvec4().to_array());
-        let sums = sums::by_group(self.segment.0, self.segment.1, of_texel).into_iter().map(DVec4::from_array);
+        let sums = self.segment.sums(of_texel).into_iter().map(DVec4::from_array);
         let sums: Vec<DVec4> = sums.collect();
         let all: DVec4 = sums.iter().sum();
         let mean = |sum: &DVec4| (sum.w > 0.0).then(|| (sum.truncate() / sum.w).as_vec3a());
@@ -224,7 +224,7 @@ impl<'a> AlbedoProblem<'a> {
     /// The colours of the segments, from the texels that are seen.
     pub fn palettes(&self, albedo: &[Vec3A], settings: &PaletteSettings) -> Palettes {
         let seen = |t: usize| self.seen.is_seen[t];
-        Palettes::find(albedo, self.segment.0, self.segment.1, seen, settings)
+        Palettes::find(albedo, self.segment, seen, settings)
     }
 
     /// The noise σ of each pixel, in albedo: `noise` + `share` · I π/E (mean over the channels).
@@ -296,7 +296,7 @@ impl<'a> AlbedoProblem<'a> {
     /// The median of each texel and the four beside it, which keeps edges, and lines of a texel's width. At the rim of
     /// a segment the neighbour of the other side counts twice.
     fn without_specks(&self, albedo: &[Vec3A]) -> Vec<Vec3A> {
-        let (segment, beside) = (self.segment.0, &self.adjacency.beside);
+        let (segment, beside) = (self.segment.of, &self.adjacency.beside);
         let of_texel = |t: usize| {
             let [left, right, up, down] =
                 beside[t].map(|n| (n != NONE && segment[n as usize] == segment[t]).then(|| albedo[n as usize]));
@@ -312,7 +312,7 @@ impl<'a> AlbedoProblem<'a> {
 
     /// |Δa|²/s² to the right and to the lower neighbour; `None` across segments.
     fn steps(&self, albedo: &[Vec3A], t: usize) -> [Option<f32>; 2] {
-        let (segment, beside) = (self.segment.0, self.adjacency.beside[t]);
+        let (segment, beside) = (self.segment.of, self.adjacency.beside[t]);
         [beside[1], beside[3]].map(|n| {
             (n != NONE && segment[n as usize] == segment[t]).then(|| {
                 let difference = albedo[t] - albedo[n as usize];
@@ -331,7 +331,7 @@ impl<'a> AlbedoProblem<'a> {
             let counting = steps.filter(|(_, n)| counts(t as u32) && counts(*n)).filter_map(|(step, _)| step);
             Some(counting.fold([0.0; 2], |[sum, pairs], step| [sum + f64::from(step.ln_1p()), pairs + 1.0]))
         };
-        let sums = sums::by_group(self.segment.0, self.segment.1, of_texel);
+        let sums = self.segment.sums(of_texel);
         sums.into_iter().map(|[sum, pairs]| if pairs > 0.0 { sum / pairs } else { 0.0 }).collect()
     }
 }
@@ -396,7 +396,7 @@ impl System<'_> {
         let mut out = p.seen.bands.sum(&p.seen.rows, zero, of_pixel, add);
         out.par_iter_mut().enumerate().with_min_len(BLOCK).for_each(|(t, out)| {
             let (strength, prior) = (p.strength(t), p.settings.segment_prior);
-            let drawn = prior * (means[p.segment.0[t] as usize] - x[t]);
+            let drawn = prior * (means[p.segment.of[t] as usize] - x[t]);
             out.residual = out.residual * strength + drawn - self.apart(x, t);
             let links: f32 = self.links(t).map(|(_, weight)| weight).sum();
             let diagonal = out.inverse * strength * strength + prior + links;

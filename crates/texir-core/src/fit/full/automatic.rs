@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::colours::Colours;
 use super::palette::Palettes;
+use super::partition::Partition;
 use crate::atlas::Atlas;
 use crate::fit::adjacency::Adjacency;
 use crate::fit::settings::PaletteSettings;
@@ -78,7 +79,7 @@ pub fn classes(
         seen(t) && (large || largest[surface[t] as usize].1 == of[t])
     };
     let painted: Vec<Vec3A> = of.par_iter().map(|&r| regions[r as usize].mean_colour()).collect();
-    let palette = Palettes::find(&painted, &vec![0; painted.len()], 1, stands, &IN_THE_SCENE);
+    let palette = Palettes::find(&painted, Partition { of: &vec![0; painted.len()], count: 1 }, stands, &IN_THE_SCENE);
     let class: Vec<u16> =
         regions.par_iter().map(|r| 1 + 4 * palette.nearest(0, r.mean_colour()) as u16 + r.facing()).collect();
     (0..of.len()).map(|t| stands(t).then(|| class[of[t] as usize])).collect()

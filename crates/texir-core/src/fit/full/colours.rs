@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::labels;
 use super::palette::Palettes;
+use super::partition::Partition;
 use crate::fit::adjacency::Adjacency;
 use crate::fit::settings::PaletteSettings;
 
@@ -38,8 +39,8 @@ impl Colours {
             surface[a] == surface[b] && seen(a) && seen(b)
         };
         let albedo = blurred(adjacency, together, albedo, texel);
-        let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);
-        let palettes = Palettes::find(&albedo, surface, surfaces, &seen, &ON_A_SURFACE);
+        let surfaces = Partition { of: surface, count: surface.iter().max().map_or(0, |last| *last as usize + 1) };
+        let palettes = Palettes::find(&albedo, surfaces, &seen, &ON_A_SURFACE);
         let colour = (surface, &albedo).into_par_iter().map(|(s, a)| palettes.nearest(*s, *a)).collect();
         Self { albedo, colour }
     }

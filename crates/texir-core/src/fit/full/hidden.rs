@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use glam::{IVec3, Vec3, Vec3A};
 use rayon::prelude::*;
 
+use super::partition::Partition;
 use crate::atlas::{Atlas, TexelIndex};
 use crate::fit::adjacency::Adjacency;
 use crate::inpaint;
@@ -107,28 +108,27 @@ pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) 
 
 /// Texels whose albedo no surface has, black as soot or whiter than snow in a channel: what is left there is the error
 /// of the one pixel that sees them. Where much of a segment is like that, it is another matter, and they stay.
-/// `segment` has a number per texel, and their count.
-pub fn outliers(albedo: &[Vec3A], segment: (&[u32], usize)) -> Vec<bool> {
+pub fn outliers(albedo: &[Vec3A], segment: Partition<'_>) -> Vec<bool> {
     let outlier = |a: &Vec3A| a.min_element() < DARKEST || a.max_element() > BRIGHTEST;
-    let mut counts = vec![[0u32; 2]; segment.1];
-    for (a, &s) in albedo.iter().zip(segment.0) {
+    let mut counts = vec![[0u32; 2]; segment.count];
+    for (a, &s) in albedo.iter().zip(segment.of) {
         counts[s as usize][0] += 1;
         counts[s as usize][1] += u32::from(outlier(a));
     }
     let few = |s: u32| f64::from(counts[s as usize][1]) < FEW * f64::from(counts[s as usize][0]);
-    albedo.iter().zip(segment.0).map(|(a, &s)| outlier(a) && few(s)).collect()
+    albedo.iter().zip(segment.of).map(|(a, &s)| outlier(a) && few(s)).collect()
 }
 
 /// Gives light sources that make up much of their segment middle grey: what their light hides nobody knows, and what is
 /// around them (a window's frame, whatever has the lamp's class elsewhere) is not made of it. Fewer are spots of the
-/// surface that they are on. `segment` has a number per texel, and their count.
-pub fn grey_sources(segment: (&[u32], usize), is_source: impl Fn(usize) -> bool, albedo: &mut [Vec3A]) {
-    let mut counts = vec![[0u32; 2]; segment.1];
-    for (t, &s) in segment.0.iter().enumerate() {
+/// surface that they are on.
+pub fn grey_sources(segment: Partition<'_>, is_source: impl Fn(usize) -> bool, albedo: &mut [Vec3A]) {
+    let mut counts = vec![[0u32; 2]; segment.count];
+    for (t, &s) in segment.of.iter().enumerate() {
         counts[s as usize][usize::from(is_source(t))] += 1;
     }
     let much = |[others, sources]: [u32; 2]| f64::from(sources) > MUCH * f64::from(others + sources);
-    let grey = |t: usize| is_source(t) && much(counts[segment.0[t] as usize]);
+    let grey = |t: usize| is_source(t) && much(counts[segment.of[t] as usize]);
     albedo.iter_mut().enumerate().filter(|(t, _)| grey(*t)).for_each(|(_, a)| *a = Vec3A::splat(MIDDLE_GREY));
 }
 
@@ -258,8 +258,12 @@ mod tests {
         albedo[70] = Vec3A::new(1.0, 0.9, 0.9);
         // The second segment is a red that pictures show without any blue.
         albedo[100..].iter_mut().for_each(|a| a.z = 0.0);
-        let found: Vec<usize> =
-            outliers(&albedo, (&segment, 2)).iter().enumerate().filter(|(_, o)| **o).map(|(t, _)| t).collect();
+        let found: Vec<usize> = outliers(&albedo, Partition { of: &segment, count: 2 })
+            .iter()
+            .enumerate()
+            .filter(|(_, o)| **o)
+            .map(|(t, _)| t)
+            .collect();
         assert_eq!(found, [3, 70]);
     }
 
@@ -269,7 +273,7 @@ mod tests {
         let wall = Vec3A::new(0.6, 0.5, 0.4);
         let mut albedo = vec![wall; 200];
         // Half of a window, and a spot on a ceiling.
-        grey_sources((&segment, 2), |t| t < 50 || (150..155).contains(&t), &mut albedo);
+        grey_sources(Partition { of: &segment, count: 2 }, |t| t < 50 || (150..155).contains(&t), &mut albedo);
         let expected = |t: usize| if t < 50 { Vec3A::splat(0.18) } else { wall };
         albedo.iter().enumerate().for_each(|(t, a)| assert_eq!(*a, expected(t), "texel {t}"));
     }

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::albedo::{AlbedoProblem, Edges, Roughness};
 use super::lines::{Covered, Line, Paint};
 use super::own::{self, Said};
+use super::partition::Partition;
 use super::scan::{Tally, cost};
 use super::share::Share;
 use crate::error::Result;
@@ -87,7 +88,7 @@ impl Lines {
         settings: &JointSettings,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let (segment, segments) = problem.segment;
+        let Partition { of: segment, count: segments } = problem.segment;
         if settings.width == 0.0 {
             return Ok(Self { covered: vec![None; segment.len()], regular: vec![false; 2 * segments] });
         }
@@ -196,14 +197,14 @@ pub fn find<'a>(
         .enumerate()
         .map(|(g, said)| decide(said, parent[g / 2], &settings.joints.own).map(capped))
         .collect();
-    Ok(Joints { lines, segment: problem.segment.0, of_group })
+    Ok(Joints { lines, segment: problem.segment.of, of_group })
 }
 
 /// Whether the darker and the brighter lines of each segment are at least a share of its texels.
-fn enough(lines: &[Option<Covered>], (segment, segments): (&[u32], usize), least_share: f32) -> Vec<bool> {
-    let mut texels = vec![0u32; segments];
-    let mut on_lines = vec![0.0; 2 * segments];
-    for (covered, segment) in lines.iter().zip(segment) {
+fn enough(lines: &[Option<Covered>], segment: Partition<'_>, least_share: f32) -> Vec<bool> {
+    let mut texels = vec![0u32; segment.count];
+    let mut on_lines = vec![0.0; 2 * segment.count];
+    for (covered, segment) in lines.iter().zip(segment.of) {
         texels[*segment as usize] += 1;
         covered.iter().for_each(|covered| on_lines[group(*segment, covered.line)] += f64::from(covered.share()));
     }
@@ -214,9 +215,9 @@ fn enough(lines: &[Option<Covered>], (segment, segments): (&[u32], usize), least
 }
 
 /// The mean roughness of each segment.
-fn means(roughness: &[f32], (segment, segments): (&[u32], usize)) -> Vec<f32> {
-    let mut sums = vec![(0.0, 0u32); segments];
-    for (segment, roughness) in segment.iter().zip(roughness) {
+fn means(roughness: &[f32], segment: Partition<'_>) -> Vec<f32> {
+    let mut sums = vec![(0.0, 0u32); segment.count];
+    for (segment, roughness) in segment.of.iter().zip(roughness) {
         let (sum, count) = &mut sums[*segment as usize];
         *sum += f64::from(*roughness);
         *count += 1;
@@ -233,7 +234,7 @@ fn scan(
     settings: &RoughnessSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<[Said; 2]>> {
-    let mut said = vec![[Said::default(); 2]; 2 * problem.segment.1];
+    let mut said = vec![[Said::default(); 2]; 2 * problem.segment.count];
     if lines.covered.iter().all(Option::is_none) {
         return Ok(said);
     }

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::palette::log;
 use super::parent::Parent;
+use super::partition::Partition;
 use crate::fit::settings::{KinSettings, RoughnessSettings};
 
 /// Seen texels from which on the colour of a segment is known.
@@ -73,11 +74,10 @@ fn alike(a: &Known, b: &Known, settings: &KinSettings) -> f32 {
     called * looks
 }
 
-/// The logarithm of each segment's mean albedo, over the texels that are seen. `segment` has a number per texel, and
-/// their count.
-pub fn colours(segment: (&[u32], usize), albedo: &[Vec3A], is_seen: &[bool]) -> Vec<Option<Vec3A>> {
-    let mut sums = vec![(DVec3::ZERO, 0_u32); segment.1];
-    for ((s, a), _) in segment.0.iter().zip(albedo).zip(is_seen).filter(|(_, seen)| **seen) {
+/// The logarithm of each segment's mean albedo, over the texels that are seen.
+pub fn colours(segment: Partition<'_>, albedo: &[Vec3A], is_seen: &[bool]) -> Vec<Option<Vec3A>> {
+    let mut sums = vec![(DVec3::ZERO, 0_u32); segment.count];
+    for ((s, a), _) in segment.of.iter().zip(albedo).zip(is_seen).filter(|(_, seen)| **seen) {
         let (sum, count) = &mut sums[*s as usize];
         *sum += a.as_dvec3();
         *count += 1;
@@ -170,7 +170,7 @@ mod tests {
         let segment: Vec<u32> = (0..100).map(|t| t / 50).collect();
         let is_seen: Vec<bool> = (0..100).map(|t| t < 25 || (50..55).contains(&t)).collect();
         let albedo: Vec<Vec3A> = is_seen.iter().map(|seen| if *seen { WOOD } else { CLOTH }).collect();
-        let found = colours((&segment, 2), &albedo, &is_seen);
+        let found = colours(Partition { of: &segment, count: 2 }, &albedo, &is_seen);
         assert!((found[0].unwrap() - log(WOOD)).abs().max_element() < 1e-5);
         assert_eq!(found[1], None);
     }
@@ -179,7 +179,8 @@ mod tests {
     #[test]
     fn colours_of_large_segments_are_exact() {
         const TEXELS: usize = 1 << 22;
-        let found = colours((&vec![0; TEXELS], 1), &vec![WOOD; TEXELS], &vec![true; TEXELS])[0].unwrap();
+        let found =
+            colours(Partition { of: &vec![0; TEXELS], count: 1 }, &vec![WOOD; TEXELS], &vec![true; TEXELS])[0].unwrap();
         assert!((found - log(WOOD)).abs().max_element() < 1e-6, "{found}");
         let running = (0..TEXELS).fold(Vec3A::ZERO, |sum, _| sum + WOOD) / TEXELS as f32;
         assert!((log(running) - log(WOOD)).abs().max_element() > 0.01, "{running}");

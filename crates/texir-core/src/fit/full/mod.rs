@@ -26,6 +26,7 @@ mod observations;
 mod own;
 mod palette;
 mod parent;
+mod partition;
 mod periodic_lines;
 mod reflections;
 mod regular;
@@ -34,7 +35,7 @@ mod scan;
 mod segments;
 mod share;
 mod squares;
-mod sums;
+
 mod variation;
 
 use std::f32::consts::PI;
@@ -61,6 +62,7 @@ use labels::Labels;
 use local::Surface;
 use observations::{Observations, Observer};
 use palette::Palettes;
+use partition::Partition;
 use scan::Tally;
 use segments::Segments;
 
@@ -140,7 +142,7 @@ fn recover(
     let apparent = apparent_albedo(ground, irradiance);
     let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, plan);
     drop(apparent);
-    let segment = (&segments.segment[..], segments.count());
+    let segment = segments.partition();
     let mut problem =
         AlbedoProblem::new(seen, irradiance, adjacency, segment, DiffuseModel::default(), &settings.albedo);
 
@@ -155,7 +157,7 @@ fn recover(
     let surface = Surface {
         width: atlas.width,
         texels: &atlas.texels,
-        segment: segment.0,
+        segment: segment.of,
         face: &segments.face,
         heaviest: &heaviest(seen, &evidence.segment),
         half: &half,
@@ -335,7 +337,7 @@ fn by_colour(
         (surface.segment, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
     let of_pixel = |(&t, &half): (&u32, &u8)| if t == NONE { NONE } else { 2 * colour[t as usize] + u32::from(half) };
     let group: Vec<u32> = surface.heaviest.par_iter().zip(surface.half).map(of_pixel).collect();
-    let halves = evidence.by_group(&group, 2 * most as usize * by_segment.len());
+    let halves = evidence.by_group(Partition { of: &group, count: 2 * most as usize * by_segment.len() });
     let parents = by_segment.iter().flat_map(|r| repeat_n(*r, most as usize));
     let own: Vec<f32> =
         halves.as_chunks().0.iter().zip(parents).map(|(said, r)| own::of_part(said, r, &settings.colours)).collect();

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use glam::{IVec3, Vec3A};
 use rayon::prelude::*;
 
+use super::partition::Partition;
 use crate::fit::settings::PaletteSettings;
 
 /// Keeps the logarithm of black finite.
@@ -26,13 +27,12 @@ impl Palettes {
     /// Meer, "Mean Shift: A Robust Approach Toward Feature Space Analysis", 2002).
     pub fn find(
         albedo: &[Vec3A],
-        segment: &[u32],
-        segments: usize,
+        segment: Partition<'_>,
         seen: impl Fn(usize) -> bool,
         settings: &PaletteSettings,
     ) -> Self {
-        let mut cells: Vec<BTreeMap<[i32; 3], (Vec3A, f32)>> = vec![BTreeMap::new(); segments];
-        for (t, &s) in segment.iter().enumerate().filter(|(t, _)| seen(*t)) {
+        let mut cells: Vec<BTreeMap<[i32; 3], (Vec3A, f32)>> = vec![BTreeMap::new(); segment.count];
+        for (t, &s) in segment.of.iter().enumerate().filter(|(t, _)| seen(*t)) {
             let colour = log(albedo[t]);
             let key: IVec3 = (colour / (0.5 * settings.bandwidth)).floor().as_ivec3();
             let (sum, count) = cells[s as usize].entry(key.to_array()).or_default();

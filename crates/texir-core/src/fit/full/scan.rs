@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::albedo::{AlbedoProblem, Edges, Roughness};
 use super::nodes::{self, Between};
-use super::sums;
+use super::partition::Partition;
 use super::variation;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
@@ -59,10 +59,10 @@ impl Evidence {
         self.segment.iter().zip(view_of_pixel()).map(of_pixel).collect()
     }
 
-    /// What the pixels of every group say, of `groups`; [`NONE`] is a pixel of none.
-    pub fn by_group(&self, group: &[u32], groups: usize) -> Vec<Tally> {
-        let mut tallies = vec![Tally::default(); groups];
-        for (pixel, group) in group.iter().enumerate().filter(|(_, group)| **group != NONE) {
+    /// What the pixels of every group say.
+    pub fn by_group(&self, group: Partition<'_>) -> Vec<Tally> {
+        let mut tallies = vec![Tally::default(); group.count];
+        for (pixel, group) in group.of.iter().enumerate().filter(|(_, group)| **group != NONE) {
             tallies[*group as usize].add(self, pixel);
         }
         tallies
@@ -70,7 +70,7 @@ impl Evidence {
 
     /// What the pixels of every segment say, and its albedo.
     pub fn by_segment(&self) -> Vec<Tally> {
-        let mut tallies = self.by_group(&self.segment, self.slope.len());
+        let mut tallies = self.by_group(Partition { of: &self.segment, count: self.slope.len() });
         for (tally, variation) in tallies.iter_mut().zip(&self.variation) {
             tally.albedo = variation::against(variation, tally.pixels);
         }
@@ -203,8 +203,8 @@ pub fn scan(
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
-    let mut slope = vec![[0.0; NODES]; problem.segment.1];
-    let mut variation = vec![[0.0; NODES]; problem.segment.1];
+    let mut slope = vec![[0.0; NODES]; problem.segment.count];
+    let mut variation = vec![[0.0; NODES]; problem.segment.count];
     let told = variation::told(problem, &segment);
     let mut shown = problem.shown(albedo);
     let rougher = [None].into_iter().chain(nodes.iter().copied().map(Some));
@@ -254,7 +254,7 @@ pub fn scan(
 /// The one segment that a pixel sees, all of it at a cosine above `min_cosine`; [`NONE`] otherwise: the grazing side of
 /// an edge reflects more than all the rest of the pixel. Pixels at rims may hold light that is none of their segment's.
 fn pure_segments(problem: &AlbedoProblem<'_>, min_cosine: f32) -> Vec<u32> {
-    let segments = problem.segment.0;
+    let segments = problem.segment.of;
     (0..problem.seen.len())
         .into_par_iter()
         .map(|p| {
@@ -310,7 +310,7 @@ fn grazing_terms(
         let e = f64::from(e);
         Some([1.0, g, g * g, e, g * e].map(|term| weight * term))
     };
-    let sums = sums::by_group(segment, problem.segment.1, of_pixel);
+    let sums = Partition { of: segment, count: problem.segment.count }.sums(of_pixel);
     sums.into_iter()
         .map(|[w, g, gg, e, ge]| {
             if w == 0.0 {

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::colours::Colours;
 use super::labels::Labels;
+use super::partition::Partition;
 use super::{automatic, borders, hidden};
 use crate::atlas::Atlas;
 use crate::fit::adjacency::Adjacency;
@@ -32,6 +33,11 @@ impl Segments {
     /// How many there are.
     pub fn count(&self) -> usize {
         self.class.len()
+    }
+
+    /// Which of them every texel is in.
+    pub fn partition(&self) -> Partition<'_> {
+        Partition { of: &self.segment, count: self.count() }
     }
 
     /// What every texel has of its segment's.
@@ -98,7 +104,12 @@ pub fn segment(
         if labels.room.iter().all(Option::is_none) { planned } else { everywhere(&labels.room, &|i| planned[i]) };
     let in_room: Vec<(u16, u16)> = class.into_iter().zip(room).collect();
     let (segment, count) = adjacency.regions(&labels.backs, |a, b| in_room[a as usize] == in_room[b as usize]);
-    let face = faces((&segment, count), &labels.surface, adjacency, (SMALLEST_FACE / (texel * texel)) as usize);
+    let face = faces(
+        Partition { of: &segment, count },
+        &labels.surface,
+        adjacency,
+        (SMALLEST_FACE / (texel * texel)) as usize,
+    );
     let mut of_segment = vec![(0, 0); count];
     segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
     let mut pairs = of_segment.clone();
@@ -115,16 +126,16 @@ pub fn segment(
 
 /// Flat pieces of segments that have at least so many texels; what is left of each segment is one more. Bumps of a scan
 /// leave nothing else of it.
-fn faces((segment, segments): (&[u32], usize), surface: &[u32], adjacency: &Adjacency, least: usize) -> Vec<u32> {
-    let of = |t: u32| (segment[t as usize], surface[t as usize]);
+fn faces(segment: Partition<'_>, surface: &[u32], adjacency: &Adjacency, least: usize) -> Vec<u32> {
+    let of = |t: u32| (segment.of[t as usize], surface[t as usize]);
     let (piece, count) = adjacency.regions(&[], |a, b| of(a) == of(b));
     let mut texels = vec![0; count];
     piece.iter().for_each(|p| texels[*p as usize] += 1);
-    let mut numbers = segments as u32..;
+    let mut numbers = segment.count as u32..;
     let large: Vec<Option<u32>> =
         texels.iter().map(|texels| if *texels >= least { numbers.next() } else { None }).collect();
     let of_texel = |(p, s): (&u32, &u32)| large[*p as usize].unwrap_or(*s);
-    piece.iter().zip(segment).map(of_texel).collect()
+    piece.iter().zip(segment.of).map(of_texel).collect()
 }
 
 /// Fills the gaps breadth first along the surface; `otherwise` labels what is connected to nothing known.
@@ -169,17 +180,17 @@ mod tests {
         let texels = atlas.points.len();
         let (floor, wall) = (0..SIDE * SIDE, SIDE * SIDE..texels);
         let one = vec![0; texels];
-        let found = faces((&one, 1), &surface, &adjacency, 100);
+        let found = faces(Partition { of: &one, count: 1 }, &surface, &adjacency, 100);
         assert!(found[floor.clone()].iter().all(|f| *f == found[0]));
         assert!(found[wall.clone()].iter().all(|f| *f == found[texels - 1]) && found[0] != found[texels - 1]);
         // Another segment takes half of the floor.
         let two: Vec<u32> = (0..texels).map(|t| u32::from(t < SIDE * SIDE / 2)).collect();
-        let found = faces((&two, 2), &surface, &adjacency, 100);
+        let found = faces(Partition { of: &two, count: 2 }, &surface, &adjacency, 100);
         assert!(found[0] != found[SIDE * SIDE - 1] && found[SIDE * SIDE - 1] != found[texels - 1]);
         // A floor of bumps is one all the same, and not the wall.
         let bumps: Vec<u32> =
             (0..texels as u32).map(|t| if wall.contains(&(t as usize)) { u32::MAX } else { t }).collect();
-        let found = faces((&one, 1), &bumps, &adjacency, 100);
+        let found = faces(Partition { of: &one, count: 1 }, &bumps, &adjacency, 100);
         assert!(found[floor].iter().all(|f| *f == found[0]) && found[0] != found[texels - 1]);
     }
 }

@@ -8,6 +8,7 @@ use super::albedo::{AlbedoProblem, Edges, Roughness};
 use super::joints::{self, Judges, Lines};
 use super::observations::Observations;
 use super::parent::{Parent, settle};
+use super::partition::Partition;
 use super::scan::{Evidence, Tally, cost, minimum, scan};
 use super::share::Share;
 use crate::atlas::Atlas;
@@ -137,7 +138,7 @@ impl Toy {
     }
 
     fn problem<'a>(&'a self, settings: &'a AlbedoSettings) -> AlbedoProblem<'a> {
-        let segment = (&self.segment[..], 2);
+        let segment = Partition { of: &self.segment, count: 2 };
         AlbedoProblem::new(&self.seen, &self.irradiance, &self.adjacency, segment, DiffuseModel::Lambert, settings)
     }
 }
@@ -151,7 +152,7 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
         let mut albedo = problem.start();
         let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
-        let found = settle(&evidence.by_group(&group, 1), &[[]])[0];
+        let found = settle(&evidence.by_group(Partition { of: &group, count: 1 }), &[[]])[0];
         assert!((found - truth).abs() < 0.02, "r {truth}: found {found}");
     }
 }
@@ -170,7 +171,7 @@ fn a_single_view_tells_roughness_by_what_albedo_would_have_to_imitate() {
         let found = settle(&evidence.by_segment(), &[[]; 2])[0];
         assert!((found - truth).abs() < 0.03, "r {truth}: found {found}");
         // Negative control: its pixels alone are explained by some albedo at any roughness.
-        let alone = evidence.by_group(&group, 1)[0].misfit();
+        let alone = evidence.by_group(Partition { of: &group, count: 1 })[0].misfit();
         let [least, most] = [f32::min, f32::max].map(|pick| alone.iter().copied().reduce(pick).unwrap());
         assert!(most - least < 1e-3, "r {truth}: {least} to {most}");
     }
@@ -441,7 +442,7 @@ fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
     let (red, blue, odd) = (Vec3A::new(0.6, 0.2, 0.1), Vec3A::new(0.1, 0.2, 0.5), Vec3A::new(0.9, 0.9, 0.1));
     let mut albedo: Vec<Vec3A> = (0..200).map(|t| if t % 3 == 0 { red } else { blue } * off(t)).collect();
     albedo.push(odd);
-    let palettes = Palettes::find(&albedo, &vec![0; 201], 1, |_| true, &settings);
+    let palettes = Palettes::find(&albedo, Partition { of: &vec![0; 201], count: 1 }, |_| true, &settings);
     assert_eq!(palettes.most(), 2);
     let spread = |albedo: &dyn Fn(usize) -> Vec3A| {
         (0..200).map(|t| (albedo(t) / if t % 3 == 0 { red } else { blue } - 1.0).abs().max_element()).sum::<f32>()
@@ -624,7 +625,7 @@ fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
     };
     let settled = |say: Vec<f32>| {
         let evidence = Evidence { say, ..of_one_segment((0..303).map(cost).collect()) };
-        nearest_node(settle(&evidence.by_group(&evidence.segment, 1), &[[]])[0])
+        nearest_node(settle(&evidence.by_group(Partition { of: &evidence.segment, count: 1 }), &[[]])[0])
     };
     assert!(settled(say) < nearest_node(0.2));
     // Negative control: every pixel alike.

@@ -28,7 +28,7 @@ pub fn against(variation: &[f64; NODES], pixels: f64) -> [f32; NODES] {
 /// Which texels are seen by pixels that say something of their `segment`. Elsewhere, albedo has only been told at
 /// grazing angles or along an edge, where models are not exact.
 pub fn told(problem: &AlbedoProblem<'_>, segment: &[u32]) -> Vec<bool> {
-    let mut told = vec![false; problem.segment.0.len()];
+    let mut told = vec![false; problem.segment.of.len()];
     let rows = &problem.seen.rows;
     let saying = (0..segment.len()).filter(|p| segment[*p] != NONE);
     saying.flat_map(|p| rows.row(p)).for_each(|share| told[share.texel as usize] = true);
