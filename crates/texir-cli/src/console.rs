@@ -145,7 +145,8 @@ impl Progress for Console {
             outer.bar.set_draw_target(ProgressDrawTarget::stderr());
         }
         drop(tasks);
-        if took >= WORTH_A_LINE {
+        // What was interrupted is not done.
+        if took >= WORTH_A_LINE && !self.cancelled() {
             self.note(&format!("{:>24}  {}", task.name, seconds(took)));
         }
     }

@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3, Vec2, Vec3};
 
 use crate::error::{Error, Result};
 use crate::mesh::{Mesh, weld};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 
 /// How far a vertex may come to lie from the planes of the triangles that it stands for (root mean square), metres:
 /// less than a texel of a flat.
@@ -53,7 +53,7 @@ pub fn decimate(mesh: &Mesh, target: usize, progress: &dyn Progress) -> Result<D
     }
     let (mut surface, mut queue) = CollapsibleMesh::new(mesh);
     let (mut live, mut moved) = (surface.triangles.len(), 0.0_f64);
-    progress.start("decimating", live.saturating_sub(target) as u64, "triangles");
+    let _task = Task::start(progress, "decimating", live.saturating_sub(target) as u64, "triangles");
     let (mut collapses, mut told) = (0, live);
     while live > target {
         let Some(candidate) = queue.pop() else { break };
@@ -73,7 +73,6 @@ pub fn decimate(mesh: &Mesh, target: usize, progress: &dyn Progress) -> Result<D
             told = live;
         }
     }
-    progress.finish();
     Ok(Decimated { mesh: surface.mesh(), moved: moved.sqrt() })
 }
 

@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb};
 use crate::light_unit::scale;
 use crate::metrics::{self, Pixel, encode, psnr};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::{GBuffer, Mipmapped, Renderer, Textures};
 
@@ -194,7 +194,7 @@ pub fn evaluate(
     }
     let truth = capture.truth.as_ref().filter(|_| difference.is_none()).map(true_textures).transpose()?;
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
-    progress.start("evaluating", rays, "rays");
+    let task = Task::start(progress, "evaluating", rays, "rays");
     let unit = shown_in(renderer.unit());
     let mut result = Subject::new(renderer, capture, textures, progress)?;
     let mut ceiling = truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
@@ -224,7 +224,7 @@ pub fn evaluate(
             scores: result.views.last().copied().unwrap_or_default(),
         });
     }
-    progress.finish();
+    drop(task);
     Ok(Evaluation {
         samples: renderer.rays_per_pixel(),
         result: result.table(capture),

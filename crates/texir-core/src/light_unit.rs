@@ -4,7 +4,7 @@
 
 use crate::capture::View;
 use crate::error::Result;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, mean_of_channels};
 
 /// What light of this mean radiance is multiplied with while it is computed with, which brings it to between a half and
@@ -30,7 +30,7 @@ pub fn scale_views<'a>(views: impl IntoIterator<Item = &'a mut View>, factor: f3
 /// The views in the [`unit`](fn@unit) of what they show, and that unit. All images are read once.
 pub fn in_own_unit(views: &[View], progress: &dyn Progress) -> Result<(Vec<View>, f32)> {
     let (mut sum, mut count) = (0.0, 0u64);
-    progress.start("brightness", views.len() as u64, "views");
+    let task = Task::start(progress, "brightness", views.len() as u64, "views");
     for view in views {
         progress.check()?;
         let image = view.load_image(progress)?;
@@ -41,7 +41,7 @@ pub fn in_own_unit(views: &[View], progress: &dyn Progress) -> Result<(Vec<View>
         }
         progress.advance(1);
     }
-    progress.finish();
+    drop(task);
     let unit = unit(sum / count as f64);
     let mut views = views.to_vec();
     scale_views(&mut views, unit);

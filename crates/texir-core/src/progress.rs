@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::error::{Error, Result};
 
-/// Receives progress of long work and answers whether to go on. All methods may be called from any thread.
+/// Receives progress of long work and answers whether to go on. All methods may be called from any thread. Work begins
+/// with [`Task::start`], which sees to its end.
 pub trait Progress: Sync {
     /// A task of `total` units begins (rays, steps, texels: `unit` says which).
     fn start(&self, task: &str, total: u64, unit: &str);
@@ -21,6 +22,25 @@ pub trait Progress: Sync {
     /// [`Error::Cancelled`] once the user asked to stop.
     fn check(&self) -> Result<()> {
         if self.cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// A task that goes on until this is dropped, so that an error on the way leaves none behind. Tasks may nest:
+/// [`Progress::advance`] is of the innermost one.
+#[must_use = "the task ends when this is dropped"]
+pub struct Task<'a>(&'a dyn Progress);
+
+impl<'a> Task<'a> {
+    /// Begins a task of `total` units.
+    pub fn start(progress: &'a dyn Progress, task: &str, total: u64, unit: &str) -> Self {
+        progress.start(task, total, unit);
+        Self(progress)
+    }
+}
+
+impl Drop for Task<'_> {
+    fn drop(&mut self) {
+        self.0.finish();
     }
 }
 
@@ -101,5 +121,42 @@ impl Progress for Impatient {
     fn warn(&self, _: &str) {}
     fn cancelled(&self) -> bool {
         self.asked.fetch_add(1, Ordering::Relaxed) >= self.patience
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts the tasks that have not ended.
+    #[derive(Default)]
+    struct Open(AtomicUsize);
+
+    impl Progress for Open {
+        fn start(&self, _: &str, _: u64, _: &str) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+        fn advance(&self, _: u64) {}
+        fn finish(&self) {
+            self.0.fetch_sub(1, Ordering::Relaxed);
+        }
+        fn warn(&self, _: &str) {}
+        fn cancelled(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn an_error_leaves_no_task_open() {
+        let open = Open::default();
+        let work = || -> Result<()> {
+            let _outer = Task::start(&open, "outer", 2, "steps");
+            let named = Named { progress: &open, of: "of it" };
+            let _inner = Task::start(&named, "inner", 1, "steps");
+            assert_eq!(open.0.load(Ordering::Relaxed), 2);
+            open.check()
+        };
+        assert!(matches!(work(), Err(Error::Cancelled)));
+        assert_eq!(open.0.load(Ordering::Relaxed), 0);
     }
 }

@@ -10,7 +10,7 @@ use crate::atlas::DEFAULT_SIDE;
 use crate::bake::PADDING;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 
 /// Sides of atlases that a mesh is unwrapped for, texels: the first on which its charts have room.
 const SIDES: [usize; 3] = [DEFAULT_SIDE, 2 * DEFAULT_SIDE, 4 * DEFAULT_SIDE];
@@ -57,7 +57,7 @@ pub(crate) fn unwrap(
     let density = Density::Auto { page_size: columns as u32 };
     let options = Options { density, padding: MARGIN as u32, ..Options::default() };
     let count: usize = surfaces.iter().map(|(_, triangles)| triangles.len()).sum();
-    progress.start("unwrapping", count as u64, "triangles");
+    let task = Task::start(progress, "unwrapping", count as u64, "triangles");
     let most = MOST + PER_TRIANGLE * count.try_into().unwrap_or(u32::MAX);
     let (flattened, started) = (AtomicUsize::new(0), Instant::now());
     let atlas = uvunwrap::generate_with_progress(&inputs, &options, |step| {
@@ -67,7 +67,7 @@ pub(crate) fn unwrap(
         }
         !progress.cancelled() && started.elapsed() < most
     });
-    progress.finish();
+    drop(task);
     let atlas = atlas.map_err(|e| match e {
         uvunwrap::Error::Cancelled if !progress.cancelled() => Error::invalid(format!(
             "unwrapping was given up after {} minutes: the surface falls into too many charts; reduce it (a capture's by `texir import \

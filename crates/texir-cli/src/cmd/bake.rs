@@ -18,7 +18,7 @@ use texir_core::lightmap::{self, Profile};
 use texir_core::lights::Lights;
 use texir_core::mesh_io::read_mesh;
 use texir_core::outputs::HDR_TEXTURE;
-use texir_core::progress::Progress;
+use texir_core::progress::{Progress, Task};
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
@@ -220,7 +220,7 @@ impl Bake {
     fn write(&self, solution: &Solution, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
         let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
         let ends_at_half = self.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ktx2"));
-        console.start("map", (size[0] * size[1]) as u64, "texels");
+        let task = Task::start(console, "map", (size[0] * size[1]) as u64, "texels");
         let map = ImageRows::new(size, |rows| {
             console.check()?;
             console.advance((rows.len() * size[0]) as u64);
@@ -248,7 +248,7 @@ impl Bake {
         let written = lightmap::write_lightmap(&self.output, map);
         console.check()?;
         written?;
-        console.finish();
+        drop(task);
         self.write_standard_error(ImageRows::new(size, |rows| {
             Ok(solution.error_rows(texels, rows)?.into_iter().map(|e| [e * scale]).collect())
         }))

@@ -11,7 +11,7 @@ use texir_core::backend::{Backend, Gather};
 use texir_core::demo::{Flat, FlatOptions};
 use texir_core::lights::Lights;
 use texir_core::mesh::Mesh;
-use texir_core::progress::{Progress, Silent};
+use texir_core::progress::{Silent, Task};
 use texir_core::rng::{hash, hash2, sobol2};
 use texir_core::scene::Scene;
 use texir_core::surface::{Hit, SurfacePoint};
@@ -180,9 +180,10 @@ fn bake(backend: &mut dyn Backend, side: usize, session: &Session<'_>) -> Result
     let atlas = Atlas::new(backend, [side, side])?;
     let map_seconds = start.elapsed().as_secs_f64();
     let start = Instant::now();
-    session.console.start(&format!("{side}²"), atlas.points.len() as u64 * u64::from(ATLAS_RAYS), "rays");
+    let task =
+        Task::start(session.console, &format!("{side}²"), atlas.points.len() as u64 * u64::from(ATLAS_RAYS), "rays");
     backend.irradiance(&atlas.points, Gather::new(ATLAS_RAYS, 0, 0), session.console)?;
-    session.console.finish();
+    drop(task);
     let gather_seconds = start.elapsed().as_secs_f64();
     Ok(AtlasRow { side, texels: atlas.texels.len(), map_seconds, gather_seconds, peak_bytes: peak_bytes() })
 }

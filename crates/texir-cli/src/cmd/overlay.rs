@@ -8,7 +8,7 @@ use texir_core::camera::{Camera, Projection};
 use texir_core::capture::View;
 use texir_core::image_io::{encode_srgb, write_png_rgb};
 use texir_core::mesh::Mesh;
-use texir_core::progress::Progress;
+use texir_core::progress::{Progress, Task};
 use texir_core::raster::{Raster, Rgb};
 use texir_core::surface::Hit;
 
@@ -27,7 +27,7 @@ const EDGE: [u8; 3] = [255, 40, 160];
 
 /// Writes one PNG per view to `folder`.
 pub fn write(backend: &mut dyn Backend, views: &[View], folder: &Path, progress: &dyn Progress) -> Result<(), Failure> {
-    progress.start("inspect: overlays", views.len() as u64, "views");
+    let _task = Task::start(progress, "inspect: overlays", views.len() as u64, "views");
     for view in views {
         progress.check()?;
         let step = view.camera.width.div_ceil(WIDTH);
@@ -38,7 +38,6 @@ pub fn write(backend: &mut dyn Backend, views: &[View], folder: &Path, progress:
         write_png_rgb(folder.join(format!("{}.png", view.name)), &image)?;
         progress.advance(1);
     }
-    progress.finish();
     Ok(())
 }
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 use texir_core::capture::{View, load_cameras};
 use texir_core::image_io::{encode_srgb, write_png_rgb, write_rgb};
 use texir_core::outputs::{FitOutput, SCENE};
-use texir_core::progress::Progress;
+use texir_core::progress::Task;
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 
@@ -68,7 +68,8 @@ impl Render {
         let textures = renderer.mipmapped(&output.textures)?;
         let gain = self.exposure.exp2();
         let mut written = Vec::with_capacity(views.len());
-        session.console.start("rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");
+        let task =
+            Task::start(session.console, "rendering", views.iter().map(|v| renderer.rays(&v.camera)).sum(), "rays");
         for view in &views {
             let radiance = renderer.render(&view.camera, &textures, session.console)?;
             let file = |extension: &str| self.output.join(format!("{}.{extension}", view.name));
@@ -77,7 +78,7 @@ impl Render {
             write_png_rgb(&png, &encode_srgb(&radiance.map(|p| p.map(|c| c * gain))))?;
             written.push(Rendered { name: view.name.clone(), exr, png });
         }
-        session.console.finish();
+        drop(task);
         session.print(&written, || format!("{} views in {}", written.len(), self.output.display()))
     }
 }

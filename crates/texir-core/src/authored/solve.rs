@@ -13,7 +13,7 @@ use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::lights::find::Finder;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::rng::hash2;
@@ -124,9 +124,8 @@ impl Solver<'_> {
         }
         let rays = self.texels.valid() as u64 * lights.len() as u64;
         direct.rays += rays;
-        self.progress.start("punctual lights", rays, "rays");
+        let _task = Task::start(self.progress, "punctual lights", rays, "rays");
         direct.add_exact(self.texels, |points| self.backend.punctual(points, lights, self.progress))?;
-        self.progress.finish();
         Ok(())
     }
 

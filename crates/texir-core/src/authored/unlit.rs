@@ -7,7 +7,7 @@ use super::{Model, Surfaces};
 use crate::backend::{Backend, Gather, Gathered};
 use crate::bake::{Solution, Texels};
 use crate::error::{Result, listed};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::luminance;
 use crate::surface::SurfacePoint;
 
@@ -128,13 +128,13 @@ fn light_at(
     let lights = finder(backend, texels, &sent)?.one_sided();
     backend.set_tbl(&sent, &lights)?;
     let per_point = u64::from(GATHER.cosine + GATHER.light) + surfaces.lights.len() as u64;
-    progress.start("backs of double-sided surfaces", points.len() as u64 * per_point, "rays");
+    let task = Task::start(progress, "backs of double-sided surfaces", points.len() as u64 * per_point, "rays");
     let gathered = backend.irradiance(points, GATHER, progress)?;
     let direct = match &surfaces.lights[..] {
         [] => vec![[0.0; 3]; points.len()],
         lights => backend.punctual(points, lights, progress)?,
     };
-    progress.finish();
+    drop(task);
     let all = |(gathered, direct): (&Gathered, &[f32; 3])| {
         if gathered.back_faces < INSIDE { luminance(&gathered.irradiance) + luminance(direct) } else { 0.0 }
     };

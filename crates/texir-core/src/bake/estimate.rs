@@ -18,7 +18,7 @@ use crate::backend::{Backend, Gather, Gathered, Sequences};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::neighbours::{NEAR, Neighbours};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::luminance;
 use crate::rng::hash;
 
@@ -69,7 +69,7 @@ impl Estimate {
             }
             let rays = rays_of(round[0]);
             let tiles = Tiles::new(&texels.points, active.as_ref(), rays);
-            progress.start("irradiance", tiles.points() as u64 * 2 * rays, "rays");
+            let task = Task::start(progress, "irradiance", tiles.points() as u64 * 2 * rays, "rays");
             for (half, gather) in round.into_iter().enumerate() {
                 let kept = checkpoints.within(&format!("round-{number}-half-{half}"));
                 let all = &mut estimate.halves[half];
@@ -80,7 +80,7 @@ impl Estimate {
                     all.set(items, &joined)
                 })?;
             }
-            progress.finish();
+            drop(task);
             for items in tiles.items() {
                 let items = items?;
                 let so_far: Vec<u32> =

@@ -15,7 +15,7 @@ use crate::backend::{Backend, Gather, Gathered};
 use crate::checkpoint::Checkpoints;
 use crate::denoise::{self, Noisy};
 use crate::error::{Error, Result};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Raster, Rgb, luminance};
 use crate::surface::SurfacePoint;
 
@@ -218,7 +218,7 @@ impl Solution {
     /// their neighbours to it, and keep what they gathered.
     #[cfg(feature = "oidn")]
     fn denoised_as_a_picture(mut self, texels: &Texels<'_>, progress: &dyn Progress) -> Result<Self> {
-        progress.start("denoising", texels.valid() as u64, "texels");
+        let _task = Task::start(progress, "denoising", texels.valid() as u64, "texels");
         let [width, height] = texels.size();
         let picture = |values: &Store<'_, [f32; 3]>, known: Option<&Store<'_, u8>>| {
             Raster::new(width, height, texels.rows(values, known, 0..height, PADDING)?)
@@ -232,7 +232,6 @@ impl Solution {
             .map(|(point, (gathered, seen))| if *seen == 0 { *gathered } else { clean.data[point.sequence as usize] })
             .collect();
         self.irradiance.set(&all, &values)?;
-        progress.finish();
         Ok(self)
     }
 
@@ -309,7 +308,7 @@ pub(super) fn as_gathered(
     let gather = gather.shared(texels.size()[0]);
     let rays = texels.points.len() as u64 * rays_of(gather);
     let (mut irradiance, mut seen) = (texels.zeroed()?, texels.zeroed()?);
-    progress.start("irradiance", rays, "rays");
+    let _task = Task::start(progress, "irradiance", rays, "rays");
     Tiles::new(&texels.points, None, rays_of(gather)).gather(
         gather,
         backend,
@@ -320,6 +319,5 @@ pub(super) fn as_gathered(
             seen.set(items, &found.iter().map(|g| is_seen(g.back_faces)).collect::<Vec<_>>())
         },
     )?;
-    progress.finish();
     Ok(Solution { irradiance, seen, standard_error: None, rays })
 }

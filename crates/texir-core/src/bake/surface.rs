@@ -5,7 +5,7 @@ use super::texels::Texels;
 use crate::checkpoint::Checkpoints;
 use crate::error::Result;
 use crate::mesh::Mesh;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::surface::SurfacePoint;
 
 /// What blocks hold around their texels, as a multiple of how far neighbours reach: coordinates are rounded.
@@ -34,7 +34,7 @@ impl<'a> Surface<'a> {
         progress: &dyn Progress,
         mut act: impl FnMut(usize, &Block, &[SurfacePoint]) -> Result<()>,
     ) -> Result<()> {
-        progress.start(task, self.texels.valid() as u64, "texels");
+        let _task = Task::start(progress, task, self.texels.valid() as u64, "texels");
         for k in 0..self.blocks.len() {
             progress.check()?;
             let block = self.blocks.block(k)?;
@@ -42,7 +42,6 @@ impl<'a> Surface<'a> {
             act(k, &block, &points)?;
             progress.advance(points.iter().filter(|point| block.owns(point)).count() as u64);
         }
-        progress.finish();
         Ok(())
     }
 

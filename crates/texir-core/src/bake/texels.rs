@@ -10,7 +10,7 @@ use crate::atlas::{self, Atlas, TypicalTexel};
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::mesh::Mesh;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::Raster;
 use crate::surface::SurfacePoint;
 
@@ -36,7 +36,7 @@ impl<'a> Texels<'a> {
         progress: &dyn Progress,
     ) -> Result<Texels<'static>> {
         let mut texels = Texels { size, points: workspace.empty()?, rows: vec![0; size[1] + 1], workspace };
-        progress.start("texels", (size[0] * size[1]) as u64, "texels");
+        let task = Task::start(progress, "texels", (size[0] * size[1]) as u64, "texels");
         atlas::map(backend, size, |rows, points, _| {
             progress.check()?;
             texels.count(points.iter().map(|point| point.sequence));
@@ -44,7 +44,7 @@ impl<'a> Texels<'a> {
             progress.advance((rows.len() * size[0]) as u64);
             Ok(())
         })?;
-        progress.finish();
+        drop(task);
         texels.accumulate();
         Ok(texels)
     }

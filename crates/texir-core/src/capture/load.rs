@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
 use crate::mesh_io::{atlas_report, is_gltf, read_mesh};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::times;
 use crate::scene::Scene;
 
@@ -45,14 +45,14 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
             format!("split: none of the {} views is for training; expected at least one \"train\"", views.len()),
         ));
     }
-    progress.start("checking files", views.len() as u64, "views");
+    let task = Task::start(progress, "checking files", views.len() as u64, "views");
     views.par_iter().try_for_each(|view| {
         progress.check()?;
         view.check_files()?;
         progress.advance(1);
         Ok(())
     })?;
-    progress.finish();
+    drop(task);
     check_light(&root, &views, progress)?;
 
     let mesh_path = match &options.mesh {

@@ -10,7 +10,7 @@ use glam::Vec3;
 use super::View;
 use crate::backend::Backend;
 use crate::error::{Result, listed};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, luminance, mean_pixel};
 use crate::stats::median;
 
@@ -86,7 +86,7 @@ impl Survey {
     /// Looks at all of `views`, at some hundred columns each. What masks leave out shines all the same, but is not
     /// compared.
     pub fn new(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Self> {
-        progress.start("what views show", views.len() as u64, "views");
+        let task = Task::start(progress, "what views show", views.len() as u64, "views");
         let (mut shown, mut cells) = (Vec::with_capacity(views.len()), Vec::new());
         for (index, view) in views.iter().enumerate() {
             progress.check()?;
@@ -111,7 +111,7 @@ impl Survey {
             shown.push(of_view);
             progress.advance(1);
         }
-        progress.finish();
+        drop(task);
         agreements(&mut shown, cells);
         Ok(Self(shown))
     }

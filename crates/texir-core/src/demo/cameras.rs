@@ -8,7 +8,7 @@ use super::{Flat, Room};
 use crate::camera::{Camera, Projection};
 use crate::capture::Split;
 use crate::error::{Error, Result};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 
 /// Height of cameras above the floor, metres.
 const HEIGHT: (f32, f32) = (1.2, 1.7);
@@ -62,7 +62,7 @@ pub fn panoramas(flat: &Flat, options: &PanoramaOptions, progress: &dyn Progress
     let world = World::new(flat)?;
     let mut random = Random::new(options.seed, 3);
     let mut all: Vec<Panorama> = Vec::new();
-    progress.start("demo: cameras", (options.train + options.novel) as u64, "views");
+    let _task = Task::start(progress, "demo: cameras", (options.train + options.novel) as u64, "views");
     for (split, count) in [(Split::Train, options.train), (Split::Novel, options.novel)] {
         for room in share(&flat.rooms, count) {
             progress.check()?;
@@ -90,7 +90,6 @@ pub fn panoramas(flat: &Flat, options: &PanoramaOptions, progress: &dyn Progress
             progress.advance(1);
         }
     }
-    progress.finish();
     Ok(all)
 }
 

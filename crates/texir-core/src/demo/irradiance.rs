@@ -15,7 +15,7 @@ use super::options::RenderOptions;
 use super::random::{Sample, stream};
 use super::trace::{Vertex, World, around, bilinear, lobe, sample_lobe};
 use crate::error::Result;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Raster, Rgb, mean_pixel};
 use crate::ray_origin::offset_origin;
 
@@ -62,12 +62,12 @@ pub(super) fn solve(world: &World, options: &RenderOptions, progress: &dyn Progr
     let fine = texel_points(&flat.charts, &flat.places, side, 1);
     let coarse = texel_points(&flat.charts, &flat.places, side, SHRINK);
 
-    progress.start("demo: direct light", fine.len() as u64, "texels");
+    let task = Task::start(progress, "demo: direct light", fine.len() as u64, "texels");
     let direct = for_texels(&fine, progress, |texel| direct(world, options, texel))?;
-    progress.finish();
+    drop(task);
     let direct = smoothed(side, &fine, direct, DIRECT_SMOOTHING);
 
-    progress.start("demo: indirect light", coarse.len() as u64, "texels");
+    let task = Task::start(progress, "demo: indirect light", coarse.len() as u64, "texels");
     let gathered = for_texels(&coarse, progress, |texel| gather(world, options, texel))?;
     let direct_coarse = halved(&direct);
     let albedo = halved(&flat.albedo);
@@ -93,7 +93,7 @@ pub(super) fn solve(world: &World, options: &RenderOptions, progress: &dyn Progr
             break;
         }
     }
-    progress.finish();
+    drop(task);
     let indirect = smoothed(coarse_side, &coarse, indirect, INDIRECT_SMOOTHING);
 
     let mut total = direct;

@@ -20,7 +20,7 @@ use super::options::RenderOptions;
 use super::random::{Sample, stream};
 use super::trace::{Vertex, World, bilinear, lobe, sample_lobe};
 use crate::error::{Error, Result};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Gray, Labels, Mask, Raster, Rgb};
 
 /// Emitter samples at the first bounce, where a small lamp in a lobe of middling width would sparkle.
@@ -64,10 +64,8 @@ pub fn render(
     let world = World::new(flat)?;
     let light = Light { irradiance: irradiance::solve(&world, options, progress)?, world, options: *options };
     let rows = shots.iter().map(|shot| shot.camera.height as u64).sum();
-    progress.start("demo: views", rows, "rows");
-    let views = shots.iter().enumerate().map(|(i, shot)| light.view(i, shot, progress)).collect();
-    progress.finish();
-    views
+    let _task = Task::start(progress, "demo: views", rows, "rows");
+    shots.iter().enumerate().map(|(i, shot)| light.view(i, shot, progress)).collect()
 }
 
 /// What one pixel holds.

@@ -7,7 +7,7 @@ use crate::capture::{View, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{write_gray, write_png_labels, write_rgb};
 use crate::mesh_io::obj;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 
 /// All that [`write()`] leaves in a folder.
 pub const FILES: [&str; 13] = [
@@ -35,7 +35,7 @@ pub fn write(flat: &Flat, views: &[Rendered], folder: impl AsRef<Path>, progress
         let path = folder.join(name);
         std::fs::create_dir_all(&path).map_err(|e| Error::file(&path, format!("cannot be created: {e}")))?;
     }
-    progress.start("demo: writing", views.len() as u64 + 1, "files");
+    let _task = Task::start(progress, "demo: writing", views.len() as u64 + 1, "files");
     obj::write(folder.join("mesh.obj"), &flat.mesh)?;
     write_rgb(folder.join("albedo_tex.exr"), &flat.albedo)?;
     write_gray(folder.join("roughness_tex.exr"), &flat.roughness)?;
@@ -50,7 +50,6 @@ pub fn write(flat: &Flat, views: &[Rendered], folder: impl AsRef<Path>, progress
         progress.advance(1);
     }
     nerfstudio::write_transforms(folder.join("transforms.json"), &frames)?;
-    progress.finish();
     Ok(())
 }
 

@@ -13,7 +13,7 @@ pub use self::exposure::read_exposure;
 use self::response::Response;
 use crate::error::{Error, Result};
 use crate::image_io::{Encoded, TransferCurve, read_encoded, read_size};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, times};
 
 /// Pixels whose brackets the response is estimated from.
@@ -78,14 +78,14 @@ pub fn merge(shots: &[Frame], choice: ResponseChoice, progress: &dyn Progress) -
     };
     let order = merge::order(&samples, &exposures);
     let mut sums = merge::Sums::new(width, height);
-    progress.start("hdr: merging", shots.len() as u64, "shots");
+    let task = Task::start(progress, "hdr: merging", shots.len() as u64, "shots");
     for index in order {
         progress.check()?;
         let shot = &shots[index];
         sums.add(&load(shot, [width, height])?, shot.exposure, &response);
         progress.advance(1);
     }
-    progress.finish();
+    drop(task);
     let (radiance, clipped, ghosts) = sums.finish();
     Ok(Merged { radiance, clipped, ghosts })
 }
@@ -137,7 +137,7 @@ fn sample_positions(width: usize, height: usize) -> Vec<usize> {
 /// The values of all shots at some pixels: `[pixel][shot]`.
 fn read_samples(shots: &[Frame], positions: &[usize], progress: &dyn Progress) -> Result<Vec<Vec<[f32; 3]>>> {
     let mut samples = vec![Vec::with_capacity(shots.len()); positions.len()];
-    progress.start("hdr: looking", shots.len() as u64, "shots");
+    let _task = Task::start(progress, "hdr: looking", shots.len() as u64, "shots");
     for shot in shots {
         progress.check()?;
         let values = read_encoded(&shot.path)?.values;
@@ -146,7 +146,6 @@ fn read_samples(shots: &[Frame], positions: &[usize], progress: &dyn Progress) -
         }
         progress.advance(1);
     }
-    progress.finish();
     Ok(samples)
 }
 

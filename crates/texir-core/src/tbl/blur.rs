@@ -19,7 +19,7 @@ use crate::camera::Camera;
 use crate::capture::View;
 use crate::error::Result;
 use crate::light_unit::in_own_unit;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Gray, mean_of_channels};
 use crate::scene::Scene;
 use crate::stats::median;
@@ -81,7 +81,7 @@ pub(super) fn measure_photos(
     if cameras.len() < 2 {
         return Ok(None);
     }
-    progress.start("sharpness", cameras.len() as u64, "views");
+    let _task = Task::start(progress, "sharpness", cameras.len() as u64, "views");
     let gray = |i: usize| {
         progress.check()?;
         Ok(load(i)?.image.map(|radiance| mean_of_channels(*radiance)))
@@ -99,7 +99,6 @@ pub(super) fn measure_photos(
             break;
         }
     }
-    progress.finish();
     Ok((comparisons.len() >= ENOUGH).then(|| variance(&comparisons)).flatten().map(|variance| variance.max(0.0)))
 }
 

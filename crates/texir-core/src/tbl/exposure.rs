@@ -17,7 +17,7 @@ use crate::capture::View;
 use crate::cholesky;
 use crate::error::{Error, Result};
 use crate::light_unit::in_own_unit;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 
 /// Side of the atlas whose texels are compared: tens of thousands of them.
 const SIDE: usize = 256;
@@ -55,7 +55,7 @@ pub(super) fn solve_photos(
     let scene = backend.scene().clone();
     let options = TblOptions::default();
     let mut texels: Vec<Vec<Sighting>> = vec![Vec::new(); atlas.points.len()];
-    progress.start("exposures", cameras.len() as u64, "views");
+    let task = Task::start(progress, "exposures", cameras.len() as u64, "views");
     for (view, camera) in cameras.iter().enumerate() {
         progress.check()?;
         let photo = load(view)?;
@@ -69,7 +69,7 @@ pub(super) fn solve_photos(
         });
         progress.advance(1);
     }
-    progress.finish();
+    drop(task);
     texels.retain(|texel| texel.len() > 1);
     if texels.is_empty() {
         return Err(Error::invalid(

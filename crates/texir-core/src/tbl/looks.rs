@@ -15,6 +15,7 @@ use crate::atlas::TexelIndex;
 use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::progress::Task;
 use crate::real::V3;
 use crate::scene::trace::Trace;
 use crate::surface::Hit;
@@ -55,7 +56,7 @@ impl Looks {
         let Fusion { scene, atlas, cameras, progress, .. } = *fusion;
         let points: Vec<_> = sources.iter().map(|&texel| atlas.points[texel]).collect();
         let index = TexelIndex::new(atlas);
-        progress.start("light sources", cameras.len() as u64, "views");
+        let _task = Task::start(progress, "light sources", cameras.len() as u64, "views");
         for (view, (camera, looks)) in cameras.iter().zip(&mut self.0).enumerate() {
             progress.check()?;
             let mut asked: HashMap<usize, u8> = HashMap::new();
@@ -80,7 +81,6 @@ impl Looks {
             }
             progress.advance(1);
         }
-        progress.finish();
         Ok(())
     }
 

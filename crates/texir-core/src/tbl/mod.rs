@@ -32,7 +32,7 @@ use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
 use crate::inpaint;
 use crate::light_unit::{in_own_unit, scale};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::mean_of_channels;
 use crate::scene::Scene;
 use crate::surface::SurfacePoint;
@@ -239,7 +239,7 @@ impl Fusion<'_> {
     ) -> Result<Vec<Option<[f32; 3]>>> {
         let Self { scene, atlas, cameras, options, progress } = *self;
         let mut blended = Vec::with_capacity(points.len());
-        progress.start("texture-based lighting", (points.len() * cameras.len()) as u64, "texels");
+        let _task = Task::start(progress, "texture-based lighting", (points.len() * cameras.len()) as u64, "texels");
         let largest = cameras.iter().map(Camera::pixels).max().unwrap_or(0);
         for points in points.chunks(BAND.max(largest / PIXELS_PER_TEXEL)) {
             let mut best = vec![Best::default(); points.len()];
@@ -258,7 +258,6 @@ impl Fusion<'_> {
             }
             blended.par_extend(best.par_iter().map(|best| best.blend(options)));
         }
-        progress.finish();
         Ok(blended)
     }
 

@@ -18,7 +18,7 @@ use crate::capture::View;
 use crate::cholesky;
 use crate::error::Result;
 use crate::light_unit::in_own_unit;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Gray, mean_of_channels};
 use crate::stats::median;
 use crate::surface::SurfacePoint;
@@ -60,7 +60,7 @@ pub(super) fn refine_photos(
 ) -> Result<Vec<Camera>> {
     let atlas = Atlas::new(backend, [SIDE, SIDE])?;
     let points: Vec<SurfacePoint> = atlas.points.iter().step_by(atlas.points.len().div_ceil(TEXELS)).copied().collect();
-    progress.start("camera poses", (ROUNDS * cameras.len()) as u64, "views");
+    let _task = Task::start(progress, "camera poses", (ROUNDS * cameras.len()) as u64, "views");
     for _ in 0..ROUNDS {
         let mut shown: Vec<Vec<f32>> = Vec::with_capacity(cameras.len());
         for (view, camera) in cameras.iter().enumerate() {
@@ -93,7 +93,6 @@ pub(super) fn refine_photos(
             progress.advance(1);
         }
     }
-    progress.finish();
     Ok(cameras)
 }
 

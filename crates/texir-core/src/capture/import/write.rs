@@ -16,7 +16,7 @@ use crate::image_io::{
     read_size, write_gray, write_png_labels, write_png_mask, write_rgb,
 };
 use crate::mesh_io::obj;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Labels, Mask, Raster, times};
 
 /// The file that makes a folder a capture.
@@ -60,7 +60,7 @@ pub fn write(
     check_vacant(out.as_ref())?;
     let stage = Stage::new(out.as_ref())?;
     let out = &stage.folder();
-    progress.start("import: views", import.shots.len() as u64, "views");
+    let task = Task::start(progress, "import: views", import.shots.len() as u64, "views");
     let job = Job { out, options };
     let converted = |shot: &Shot| {
         progress.check()?;
@@ -69,7 +69,7 @@ pub fn write(
         Ok(converted)
     };
     let converted = import.shots.par_iter().map(converted).collect::<Result<Vec<_>>>()?;
-    progress.finish();
+    drop(task);
     for (name, file) in &import.textures {
         let to = out.join(name);
         // Readers go by the content, but people go by the name.

@@ -12,7 +12,7 @@ use super::votes::winner;
 use crate::capture::{Classes, View};
 use crate::error::Result;
 use crate::image_io::write_png_labels;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Labels, Raster};
 
 /// A segmentation model with the classes that it tells apart.
@@ -35,7 +35,7 @@ impl Segmenter {
     pub fn label(&self, views: &mut [View], folder: &Path, progress: &dyn Progress) -> Result<()> {
         let of = |view: &View| crops(&view.camera, self.network.input).len();
         let total: usize = views.iter().map(of).sum();
-        progress.start("import: segmentation", total as u64, "crops");
+        let _task = Task::start(progress, "import: segmentation", total as u64, "crops");
         // A run takes a thread and the memory of its activations: no more runs at a time than there are threads.
         let most = views.iter().map(of).max().unwrap_or(1);
         for views in views.chunks_mut((rayon::current_num_threads() / most).max(1)) {
@@ -47,7 +47,6 @@ impl Segmenter {
                 Ok(())
             })?;
         }
-        progress.finish();
         Ok(())
     }
 

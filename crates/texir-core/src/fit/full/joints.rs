@@ -18,7 +18,7 @@ use super::share::Share;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::{JointSettings, OwnSettings, RoughnessSettings};
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::specular_table::{NODES, node};
 use crate::texture::SparseRows;
 
@@ -245,7 +245,7 @@ fn scan(
     };
     let sees: Vec<(u32, f32)> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
     let before = problem.shown(albedo);
-    progress.start("joints", 1 + tried().count() as u64, "roughnesses");
+    let _task = Task::start(progress, "joints", 1 + tried().count() as u64, "roughnesses");
     for k in std::iter::once(None).chain(tried().map(Some)) {
         progress.check()?;
         let mut with = roughness.to_vec();
@@ -272,7 +272,6 @@ fn scan(
         }
         progress.advance(1);
     }
-    progress.finish();
     Ok(said)
 }
 

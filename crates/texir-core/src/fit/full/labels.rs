@@ -16,7 +16,7 @@ use crate::capture::View;
 use crate::error::Result;
 use crate::fit::adjacency::Adjacency;
 use crate::mesh::Mesh;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::Mask;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
@@ -66,7 +66,7 @@ impl Labels {
         progress: &dyn Progress,
     ) -> Result<Self> {
         let has_labels = |v: &&View| v.semantic.is_some() || v.room.is_some() || v.room_id.is_some();
-        progress.start("labels", views.iter().filter(has_labels).count() as u64, "views");
+        let _task = Task::start(progress, "labels", views.iter().filter(has_labels).count() as u64, "views");
         let [mut class, mut room] = [Votes::default(), Votes::default()];
         for view in views.iter().filter(has_labels) {
             progress.check()?;
@@ -92,7 +92,6 @@ impl Labels {
         room.blur(scene.mesh(), atlas, adjacency);
         class.share(&backs);
         let [class, room] = [class, room].map(|votes| votes.count(&surface));
-        progress.finish();
         Ok(Self { surface, backs, class, room })
     }
 

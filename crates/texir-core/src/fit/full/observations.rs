@@ -21,7 +21,7 @@ use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::FullSettings;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::raster::{Mask, Rgb};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, PackedCurve, STRATA};
@@ -138,7 +138,7 @@ impl Observer<'_> {
         let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>()
             * tables
             * u64::from(self.settings.sampling(self.seed, 0).rays());
-        progress.start("light samples", rays, "rays");
+        let task = Task::start(progress, "light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);
         let mut all = Observations::default();
         for view in views {
@@ -152,7 +152,7 @@ impl Observer<'_> {
                 )));
             }
         }
-        progress.finish();
+        drop(task);
         if all.is_empty() {
             return Err(Error::invalid(
                 "no pixel of a training view shows a surface that is not a light source: check masks, and the cameras \

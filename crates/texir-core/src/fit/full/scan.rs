@@ -16,7 +16,7 @@ use super::variation;
 use crate::error::Result;
 use crate::fit::adjacency::NONE;
 use crate::fit::settings::RoughnessSettings;
-use crate::progress::Progress;
+use crate::progress::{Progress, Task};
 use crate::specular_table::{NODES, nearest_node, node, node_step};
 
 /// What each pixel says about roughness.
@@ -199,7 +199,7 @@ pub fn scan(
     progress: &dyn Progress,
 ) -> Result<Evidence> {
     let nodes = nodes::solved(settings.every as usize);
-    progress.start(&format!("roughness scan, {model}"), nodes.len() as u64, "roughnesses");
+    let _task = Task::start(progress, &format!("roughness scan, {model}"), nodes.len() as u64, "roughnesses");
     let sigma = problem.noise(settings.image_noise);
     let segment = pure_segments(problem, settings.min_cosine);
     let mut costs = vec![[f16::ZERO; NODES]; problem.seen.len()];
@@ -247,7 +247,6 @@ pub fn scan(
     variation
         .iter_mut()
         .for_each(|of| between.iter().for_each(|b| of[b.node] = b.at(|k| of[k] as f32).max(0.0).into()));
-    progress.finish();
     Ok(Evidence { segment, cost: costs, say: say(&problem.seen.area), slope, variation })
 }
 

@@ -9,7 +9,7 @@ use crate::checkpoint::{Array, Checkpoints, Step};
 use crate::error::{Error, Result};
 use crate::fit::adam::Adam;
 use crate::fit::settings::{FitSettings, OptimiserSettings};
-use crate::progress::{Progress, Uncounted};
+use crate::progress::{Progress, Task, Uncounted};
 use crate::rng::hash2;
 use crate::surface::SurfacePoint;
 use crate::texture::Pyramid;
@@ -248,7 +248,12 @@ impl<'a> Optimisation<'a> {
                 },
             );
         let views = self.views.len() as u32;
-        self.progress.start(&format!("stage {stage:?}"), u64::from(optimiser.epochs) * u64::from(views), "steps");
+        let _task = Task::start(
+            self.progress,
+            &format!("stage {stage:?}"),
+            u64::from(optimiser.epochs) * u64::from(views),
+            "steps",
+        );
         self.progress.advance(done.len() as u64 * u64::from(views));
         done.iter().for_each(|epoch| (self.log)(epoch));
         for epoch in done.len() as u32..optimiser.epochs {
@@ -278,7 +283,6 @@ impl<'a> Optimisation<'a> {
             state.keep(self.checkpoints, &name, textures)?;
             Epochs { albedo, roughness, done } = state;
         }
-        self.progress.finish();
         Ok(())
     }
 

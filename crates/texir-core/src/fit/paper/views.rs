@@ -8,7 +8,7 @@ use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, Sha
 use crate::capture::{Split, View};
 use crate::error::Result;
 use crate::fit::Ground;
-use crate::progress::{Progress, Uncounted};
+use crate::progress::{Progress, Task, Uncounted};
 use crate::raster::Rgb;
 use crate::rng::hash2;
 use crate::texture::{Footprints, Pyramid, SparseRows};
@@ -53,8 +53,8 @@ impl Surroundings<'_> {
     /// are found with it.
     pub fn prepare(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<FitView>> {
         let training: Vec<&View> = views.iter().filter(|v| v.split == Split::Train).collect();
-        progress.start("views", training.len() as u64, "views");
-        let prepared = training
+        let _task = Task::start(progress, "views", training.len() as u64, "views");
+        training
             .into_iter()
             .map(|view| {
                 progress.check()?;
@@ -62,9 +62,7 @@ impl Surroundings<'_> {
                 progress.advance(1);
                 Ok(prepared)
             })
-            .collect();
-        progress.finish();
-        prepared
+            .collect()
     }
 
     fn prepare_one(&self, backend: &mut dyn Backend, view: &View, progress: &dyn Progress) -> Result<FitView> {
