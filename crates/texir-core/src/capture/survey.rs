@@ -11,14 +11,15 @@ use super::View;
 use crate::backend::Backend;
 use crate::error::{Result, listed};
 use crate::progress::{Progress, Task};
-use crate::raster::{Rgb, luminance, mean_pixel};
+use crate::raster::{Rgb, luminance, mean_of_channels, mean_pixel};
 use crate::stats::median;
+use crate::tbl::exposure::{self, Sighting};
 
 /// Columns of a view as it is looked at, at most.
 const COLUMNS: usize = 256;
 /// Edge of the cells of surface in which views are compared, metres.
 const CELL: f32 = 0.25;
-/// Views of a cell by which one of them can be judged,
+/// Views of a cell by which each of them can be judged,
 const JUDGES: usize = 3;
 /// and cells that a view is judged in at least.
 const ENOUGH: usize = 30;
@@ -29,8 +30,8 @@ const BEHIND: [f64; 2] = [0.03, 0.05];
 const OPEN: [f64; 2] = [0.05, 0.1];
 /// An image clips where so many of its pixels share its largest value in two channels.
 const CLIPPED: f64 = 1e-3;
-/// A view is exposed otherwise where it is brighter or darker than the others by this, in ln.
-const EXPOSED: f32 = 0.25;
+/// Views are exposed differently where that makes so much of a difference, in ln, root mean square.
+const EXPOSED: f32 = 0.012;
 /// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off
 /// in the median.
 const OFF: f32 = 0.3;
@@ -69,13 +70,20 @@ pub struct Share {
     brightest: (f64, [usize; 2]),
 }
 
-/// How a view agrees with the median of all views of the same places.
+/// How a view agrees with all views of the same places.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agreement {
-    /// ln of its brightness over theirs, in the median.
-    pub exposure: f32,
-    /// How far it is from that, in the median.
+    /// By how much it is brighter than the middle one of them, in ln, per channel.
+    pub exposure: [f32; 3],
+    /// How far a place is from what they show of it, but for that, in the median.
     pub spread: f32,
+}
+
+impl Agreement {
+    /// By how much the view is brighter, in ln.
+    fn brighter(&self) -> f32 {
+        mean_of_channels(self.exposure)
+    }
 }
 
 /// What all training views show.
@@ -107,7 +115,7 @@ impl Survey {
                 agreement: None,
             };
             let means = of_view.look(backend, view, &image)?;
-            cells.extend(means.into_iter().map(|(cell, mean)| (cell, index as u32, mean)));
+            cells.extend(means.into_iter().map(|(cell, log)| (cell, Sighting { view: index, log })));
             shown.push(of_view);
             progress.advance(1);
         }
@@ -229,7 +237,6 @@ impl Survey {
         let names = |views: &[(&Shown, Agreement)]| {
             listed(&views.iter().map(|(shown, _)| format!("{:?}", shown.name)).collect::<Vec<_>>())
         };
-        let exposed: Vec<_> = others.into_iter().filter(|(_, agreement)| agreement.exposure.abs() > EXPOSED).collect();
         let mut told = Vec::new();
         if !off.is_empty() {
             told.push(format!(
@@ -238,14 +245,16 @@ impl Survey {
                 names(&off)
             ));
         }
-        if let Some((most, agreement)) = exposed.iter().max_by(|a, b| a.1.exposure.abs().total_cmp(&b.1.exposure.abs()))
-        {
+        let squares = others.iter().flat_map(|(_, agreement)| agreement.exposure).map(|e| e * e).sum::<f32>();
+        let differ = (squares / (3 * others.len()).max(1) as f32).sqrt();
+        let most = others.iter().max_by(|a, b| a.1.brighter().abs().total_cmp(&b.1.brighter().abs()));
+        if let Some((most, agreement)) = most.filter(|_| differ > EXPOSED) {
             told.push(format!(
-                "views that are brighter or darker than the others show the same places: {} ({:?} {:.2} times as bright): --solve-exposure \
-                 brings them together, unless the light was changed between them",
-                names(&exposed),
+                "the training views are exposed differently, by {:.1} % (root mean square), {:?} most ({:.3} times as bright as the middle \
+                 one): --solve-exposure brings them together, unless the light was changed between them",
+                100.0 * differ.exp_m1(),
                 most.name,
-                agreement.exposure.exp()
+                agreement.brighter().exp()
             ));
         }
         told
@@ -256,13 +265,13 @@ impl Survey {
 type Cell = ([i32; 3], u8);
 
 impl Shown {
-    /// Looks at an image; yields the mean ln of luminance per cell that it shows from the front.
-    fn look(&mut self, backend: &mut dyn Backend, view: &View, image: &Rgb) -> Result<HashMap<Cell, f32>> {
+    /// Looks at an image; yields the mean ln of radiance per cell that it shows from the front.
+    fn look(&mut self, backend: &mut dyn Backend, view: &View, image: &Rgb) -> Result<HashMap<Cell, [f64; 3]>> {
         let camera = &view.camera;
         let (known, usable) = (image.finite(), view.usable(image)?);
         let hits = backend.primary(camera, camera.rows())?;
         let mesh = backend.scene().mesh();
-        let mut cells: HashMap<Cell, (f64, f64)> = HashMap::new();
+        let mut cells: HashMap<Cell, ([f64; 3], f64)> = HashMap::new();
         // Masks leave out lights, and with them what this is about.
         for (pixel, hit) in hits.iter().enumerate().filter(|(pixel, _)| known.data[*pixel]) {
             let place = [pixel % camera.width, pixel / camera.width];
@@ -274,15 +283,18 @@ impl Shown {
                 continue;
             }
             let front = mesh.face_normal(hit.triangle);
-            if front.dot(camera.direction(place[0] as f32 + 0.5, place[1] as f32 + 0.5)) > 0.0 {
+            let cosine = -front.dot(camera.direction(place[0] as f32 + 0.5, place[1] as f32 + 0.5));
+            let radiance = image.data[pixel];
+            if cosine < 0.0 {
                 self.behind.add(seen);
-            } else if bright > 0.0 && usable.data[pixel] {
+            } else if cosine >= exposure::MIN_COSINE && usable.data[pixel] && radiance.iter().all(|r| *r > 0.0) {
                 let at = hit.interpolate(mesh.corners(hit.triangle));
                 let (sum, count) = cells.entry(cell(at, front)).or_default();
-                (*sum, *count) = (*sum + bright.ln(), *count + 1.0);
+                (0..3).for_each(|c| sum[c] += f64::from(radiance[c]).ln());
+                *count += 1.0;
             }
         }
-        Ok(cells.into_iter().map(|(cell, (sum, count))| (cell, (sum / count) as f32)).collect())
+        Ok(cells.into_iter().map(|(cell, (sum, count))| (cell, sum.map(|sum| sum / count))).collect())
     }
 }
 
@@ -319,20 +331,24 @@ fn largest(image: &Rgb) -> (f32, f64) {
     (most, count as f64 / image.data.len().max(1) as f64)
 }
 
-/// Compares the views by cells that several of them show.
-fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, u32, f32)>) {
-    cells.sort_unstable_by_key(|(cell, view, _)| (*cell, *view));
+/// Compares the views by cells that several of them show; tells nothing where exposures cannot be told.
+fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, Sighting)>) {
+    cells.sort_unstable_by_key(|(cell, sighting)| (*cell, sighting.view));
+    let of_cell = |cell: &[(Cell, Sighting)]| cell.iter().map(|(_, sighting)| *sighting).collect();
+    let places: Vec<Vec<Sighting>> = cells.chunk_by(|a, b| a.0 == b.0).filter(|c| c.len() > 1).map(of_cell).collect();
+    let Ok(exposures) = exposure::exposures(&places, shown.len()) else { return };
     let mut differences = vec![Vec::new(); shown.len()];
-    for of_cell in cells.chunk_by(|a, b| a.0 == b.0).filter(|of_cell| of_cell.len() >= JUDGES) {
-        let typical = median(&mut of_cell.iter().map(|(.., mean)| *mean).collect::<Vec<_>>());
-        let of_view = |(_, view, mean): &(Cell, u32, f32)| Some((*view as usize, mean - typical?));
-        of_cell.iter().filter_map(of_view).for_each(|(view, difference)| differences[view].push(difference));
+    for place in places.iter().filter(|place| place.len() >= JUDGES) {
+        let rest = |s: &Sighting| (0..3).map(|c| s.log[c] - exposures[s.view][c]).sum::<f64>() as f32 / 3.0;
+        let typical = median(&mut place.iter().map(rest).collect::<Vec<_>>());
+        let of_view = |s: &Sighting| Some((s.view, (rest(s) - typical?).abs()));
+        place.iter().filter_map(of_view).for_each(|(view, difference)| differences[view].push(difference));
     }
-    for (shown, mut differences) in shown.iter_mut().zip(differences).filter(|(_, d)| d.len() >= ENOUGH) {
-        shown.agreement = median(&mut differences).and_then(|exposure| {
-            differences.iter_mut().for_each(|d| *d = (*d - exposure).abs());
-            Some(Agreement { exposure, spread: median(&mut differences)? })
-        });
+    for ((shown, exposure), mut off) in
+        shown.iter_mut().zip(exposures).zip(differences).filter(|(_, d)| d.len() >= ENOUGH)
+    {
+        let exposure = exposure.map(|e| e as f32);
+        shown.agreement = median(&mut off).map(|spread| Agreement { exposure, spread });
     }
 }
 

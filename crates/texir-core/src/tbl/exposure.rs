@@ -2,8 +2,10 @@
 //!
 //! A view `v` shows texel `t` with ln L(v, t) = g(v) + x(t), per channel: its exposure, and the texel's own radiance.
 //! Weighted least squares over all pairs has a closed form once the texels are eliminated; what views see differently
-//! for other reasons (reflections, somebody who walks by) is weighed down and the system solved again. Only differences
-//! between views can be found: the median of g is 0, so that most views stay nearly as they are when a few differ.
+//! for other reasons (reflections, somebody who walks by) is weighed down and the system solved again. Surfaces reflect
+//! most at grazing angles, at which a view sees much of what it shares with views from other rooms: that does not count.
+//! Only differences between views can be found: the median of g is 0, so that most views stay nearly as they are when a
+//! few differ.
 
 use rayon::prelude::*;
 
@@ -28,12 +30,14 @@ const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.
 const ANCHOR: f64 = 1e-6;
 /// Darker pixels hold noise, where views are about 1 bright.
 const DARK: f32 = 1e-4;
+/// Least cosine of the angle between a surface's normal and the view that exposures are told by.
+pub(crate) const MIN_COSINE: f32 = 0.4;
 
-/// ln L of one texel in one view.
+/// ln L of one place in one view.
 #[derive(Clone, Copy)]
-struct Sighting {
-    view: usize,
-    log: [f64; 3],
+pub(crate) struct Sighting {
+    pub view: usize,
+    pub log: [f64; 3],
 }
 
 /// The factors per channel by which the views' radiance must be multiplied to agree with each other; their median is
@@ -53,7 +57,7 @@ pub(super) fn solve_photos(
 ) -> Result<Vec<[f32; 3]>> {
     let atlas = Atlas::new(backend, [SIDE, SIDE])?;
     let scene = backend.scene().clone();
-    let options = TblOptions::default();
+    let options = TblOptions { min_cosine: MIN_COSINE, ..TblOptions::default() };
     let mut texels: Vec<Vec<Sighting>> = vec![Vec::new(); atlas.points.len()];
     let task = Task::start(progress, "exposures", cameras.len() as u64, "views");
     for (view, camera) in cameras.iter().enumerate() {
@@ -76,12 +80,17 @@ pub(super) fn solve_photos(
             "exposures cannot be told: no surface is seen by two views, neither black nor masked",
         ));
     }
-    let mut exposure = vec![[0.0; 3]; cameras.len()];
+    Ok(exposures(&texels, cameras.len())?.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
+}
+
+/// By how much each of `views` is brighter than the middle one, in ln, per channel, from what they show of `places`.
+pub(crate) fn exposures(places: &[Vec<Sighting>], views: usize) -> Result<Vec<[f64; 3]>> {
+    let mut exposure = vec![[0.0; 3]; views];
     for scale in SCALES {
-        exposure = least_squares(&texels, &exposure, scale)?;
+        exposure = least_squares(places, &exposure, scale)?;
     }
     let middle: [f64; 3] = std::array::from_fn(|c| middle(exposure.iter().map(|g| g[c]).collect()));
-    Ok(exposure.iter().map(|g| std::array::from_fn(|c| (middle[c] - g[c]).exp() as f32)).collect())
+    Ok(exposure.iter().map(|g| std::array::from_fn(|c| g[c] - middle[c])).collect())
 }
 
 /// The median, of an even number the mean of both; 0 of none.
@@ -91,26 +100,26 @@ fn middle(mut values: Vec<f64>) -> f64 {
     (at(values.len().saturating_sub(1) / 2) + at(values.len() / 2)) / 2.0
 }
 
-/// One weighted solution. The weights follow from how far the sightings of a texel are from their median under the
+/// One weighted solution. The weights follow from how far the sightings of a place are from their median under the
 /// exposures so far.
-fn least_squares(texels: &[Vec<Sighting>], so_far: &[[f64; 3]], scale: f64) -> Result<Vec<[f64; 3]>> {
+fn least_squares(places: &[Vec<Sighting>], so_far: &[[f64; 3]], scale: f64) -> Result<Vec<[f64; 3]>> {
     let n = so_far.len();
     let mut matrix = vec![0.0; n * n];
     let mut right = vec![[0.0; 3]; n];
-    for texel in texels {
+    for place in places {
         let rest = |s: &Sighting, c: usize| s.log[c] - so_far[s.view][c];
-        let middle: [f64; 3] = std::array::from_fn(|c| middle(texel.iter().map(|s| rest(s, c)).collect()));
+        let middle: [f64; 3] = std::array::from_fn(|c| middle(place.iter().map(|s| rest(s, c)).collect()));
         let weight = |s: &Sighting| {
             let off = (0..3).map(|c| ((rest(s, c) - middle[c]) / scale).powi(2)).sum::<f64>() / 3.0;
             1.0 / (1.0 + off)
         };
-        let weights: Vec<f64> = texel.iter().map(weight).collect();
+        let weights: Vec<f64> = place.iter().map(weight).collect();
         let total: f64 = weights.iter().sum();
         let mean: [f64; 3] =
-            std::array::from_fn(|c| texel.iter().zip(&weights).map(|(s, w)| w * s.log[c]).sum::<f64>() / total);
-        for (a, wa) in texel.iter().zip(&weights) {
+            std::array::from_fn(|c| place.iter().zip(&weights).map(|(s, w)| w * s.log[c]).sum::<f64>() / total);
+        for (a, wa) in place.iter().zip(&weights) {
             matrix[a.view * n + a.view] += wa;
-            for (b, wb) in texel.iter().zip(&weights) {
+            for (b, wb) in place.iter().zip(&weights) {
                 matrix[a.view * n + b.view] -= wa * wb / total;
             }
             (0..3).for_each(|c| right[a.view][c] += wa * (a.log[c] - mean[c]));

@@ -655,6 +655,27 @@ fn exposures_come_back_and_leave_no_seam() {
 }
 
 #[test]
+fn what_is_reflected_at_grazing_angles_is_no_exposure() {
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    // The last one lies on the floor.
+    let cameras = [[0.9, 0.8, 1.3], [3.1, 2.2, 1.5], [2.0, 1.4, 0.1]].map(|[x, y, z]| Camera {
+        width: 256,
+        height: 128,
+        ..panorama(Vec3::new(x, y, z), x)
+    });
+    let glossy = |p: Vec3, to_camera: Vec3| {
+        let to_wall = p.min(ROOM - p);
+        let cosine = to_camera[to_wall.min_position()].abs();
+        pattern(p).map(|l| l + (1.0 - cosine).powi(5))
+    };
+    let load = |i: usize| Ok(Photo::new(photograph(&scene, &cameras[i], glossy), None));
+    let factors = exposure::solve_photos(&mut CpuBackend::new(scene.clone()), &cameras, load, &Silent).unwrap();
+    for factor in factors.as_flattened() {
+        assert!((factor - 1.0).abs() < 0.01, "equal exposures became {factors:?}");
+    }
+}
+
+#[test]
 fn small_errors_of_poses_are_lessened() {
     let scene = Arc::new(Scene::new(room()).unwrap());
     let truth = many_cameras();
