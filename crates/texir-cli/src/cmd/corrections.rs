@@ -16,7 +16,7 @@ pub struct CorrectionArgs {
     /// Correct small errors of the training views' poses first, until they show the same on the mesh
     #[arg(long)]
     refine_poses: bool,
-    /// Bring the training views to one exposure and white balance first
+    /// Bring the training views to one exposure and white balance first, if they differ by 1 % or more
     #[arg(long)]
     solve_exposure: bool,
     /// Undo the blur of the training views' images first, as wide as views of one surface from near and from far show
@@ -38,10 +38,19 @@ impl CorrectionArgs {
         let views = |training: &[&mut View]| -> Vec<View> { training.iter().map(|v| (**v).clone()).collect() };
         if self.solve_exposure {
             let scales = exposure::solve(backend.as_mut(), &views(&training), session.console)?;
-            for (view, scale) in training.iter_mut().zip(scales) {
-                view.scale = scale;
-                let [r, g, b] = scale;
-                session.console.note(&format!("{:>24}  radiance × {r:.3} {g:.3} {b:.3}", view.name));
+            let differ = exposure::difference(scales.iter().map(|scale| scale.map(f32::ln)));
+            let how = format!("exposures differ by {:.1} %, root mean square", 100.0 * differ.exp_m1());
+            if differ < exposure::ALIKE {
+                session.console.note(&format!(
+                    "{how}: no more than reflections make of equal ones, so the views stay as they are"
+                ));
+            } else {
+                session.console.note(&how);
+                for (view, scale) in training.iter_mut().zip(scales) {
+                    view.scale = scale;
+                    let [r, g, b] = scale;
+                    session.console.note(&format!("{:>24}  radiance × {r:.3} {g:.3} {b:.3}", view.name));
+                }
             }
         }
         if self.refine_poses {
@@ -59,7 +68,7 @@ impl CorrectionArgs {
             let blur = self.blur(measured, session);
             training.iter_mut().for_each(|view| view.blur = blur);
         }
-        if self.solve_exposure || self.refine_poses || training.iter().any(|view| view.blur > 0.0) {
+        if self.refine_poses || training.iter().any(|view| view.scale != [1.0; 3] || view.blur > 0.0) {
             capture.tbl = None;
         }
         Ok(Some(Corrections::of(capture)))

@@ -1,5 +1,6 @@
 //! What every command makes of a good capture.
 
+use std::ffi::OsString;
 use std::path::Path;
 
 use serde_json::Value;
@@ -247,6 +248,30 @@ fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
     let blurred = r#"{"b": {"scale": [1, 1, 1], "blur": 7, "transform_matrix": []}}"#;
     std::fs::write(out.join("corrections.json"), blurred).unwrap();
     run(&evaluate).complains(&["corrections.json", "view \"b\"", "blur 7", "square pixels"]);
+}
+
+#[test]
+fn views_that_are_exposed_alike_stay_as_they_are() {
+    let capture = Capture::new();
+    let built = |name: &str, more: &[&str]| {
+        let to = capture.out(name);
+        let arguments: Vec<OsString> =
+            ["tbl".into(), capture.path().into(), "-o".into(), to.clone().into(), "--backend".into(), "cpu".into()]
+                .into_iter()
+                .chain(more.iter().map(OsString::from))
+                .collect();
+        let said = succeed(&arguments);
+        (std::fs::read(to).unwrap(), said.err)
+    };
+    let (plain, _) = built("plain.exr", &[]);
+    let (solved, said) = built("solved.exr", &["--solve-exposure"]);
+    assert!(said.contains("stay as they are") && !said.contains("radiance ×"), "{said}");
+    assert!(solved == plain, "the HDR texture changed");
+    // Negative control.
+    let dim = capture.file("hdr/b.exr");
+    write_rgb(&dim, &read_rgb(&dim).unwrap().map(|rgb| rgb.map(|l| 0.95 * l))).unwrap();
+    let (_, said) = built("unequal.exr", &["--solve-exposure"]);
+    assert!(said.contains("b  radiance × 1.05") && !said.contains("stay as they are"), "{said}");
 }
 
 #[test]

@@ -30,8 +30,6 @@ const BEHIND: [f64; 2] = [0.03, 0.05];
 const OPEN: [f64; 2] = [0.05, 0.1];
 /// An image clips where so many of its pixels share its largest value in two channels.
 const CLIPPED: f64 = 1e-3;
-/// Views are exposed differently where that makes so much of a difference, in ln, root mean square.
-const EXPOSED: f32 = 0.012;
 /// A view contradicts the others where it is off by this in the median, in ln, and by so many times what views are off
 /// in the median.
 const OFF: f32 = 0.3;
@@ -245,10 +243,9 @@ impl Survey {
                 names(&off)
             ));
         }
-        let squares = others.iter().flat_map(|(_, agreement)| agreement.exposure).map(|e| e * e).sum::<f32>();
-        let differ = (squares / (3 * others.len()).max(1) as f32).sqrt();
+        let differ = exposure::difference(others.iter().map(|(_, agreement)| agreement.exposure));
         let most = others.iter().max_by(|a, b| a.1.brighter().abs().total_cmp(&b.1.brighter().abs()));
-        if let Some((most, agreement)) = most.filter(|_| differ > EXPOSED) {
+        if let Some((most, agreement)) = most.filter(|_| differ > exposure::ALIKE) {
             told.push(format!(
                 "the training views are exposed differently, by {:.1} % (root mean square), {:?} most ({:.3} times as bright as the middle \
                  one): --solve-exposure brings them together, unless the light was changed between them",

@@ -30,6 +30,9 @@ const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.
 const ANCHOR: f64 = 1e-6;
 /// Darker pixels hold noise, where views are about 1 bright.
 const DARK: f32 = 1e-4;
+/// Views whose exposures seem to differ by less (see [`difference`]) are taken to be exposed alike: reflections alone make
+/// that of them.
+pub const ALIKE: f32 = 0.01;
 /// Least cosine of the angle between a surface's normal and the view that exposures are told by.
 pub(crate) const MIN_COSINE: f32 = 0.4;
 
@@ -81,6 +84,13 @@ pub(super) fn solve_photos(
         ));
     }
     Ok(exposures(&texels, cameras.len())?.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
+}
+
+/// How much views differ, in ln, root mean square over views and channels, by the logarithm of each one's brightness over
+/// the middle one's; 0 without any.
+pub fn difference(exposures: impl IntoIterator<Item = [f32; 3]>) -> f32 {
+    let (sum, count) = exposures.into_iter().flatten().fold((0.0, 0.0), |(sum, n), e| (sum + e * e, n + 1.0f32));
+    (sum / count.max(1.0)).sqrt()
 }
 
 /// By how much each of `views` is brighter than the middle one, in ln, per channel, from what they show of `places`.

@@ -35,7 +35,6 @@ mod scan;
 mod segments;
 mod share;
 mod squares;
-
 mod variation;
 
 use std::f32::consts::PI;
