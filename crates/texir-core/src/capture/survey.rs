@@ -226,35 +226,32 @@ impl Survey {
         })
     }
 
-    fn contradicted(&self) -> Vec<String> {
+    /// Views that show something else than the others; without any, views that show it brighter or darker.
+    fn contradicted(&self) -> Option<String> {
         let known: Vec<(&Shown, Agreement)> =
             self.0.iter().filter_map(|shown| Some((shown, shown.agreement?))).collect();
         let mut spreads: Vec<f32> = known.iter().map(|(_, agreement)| agreement.spread).collect();
         let most = median(&mut spreads).map_or(OFF, |typical| OFF.max(TIMES * typical));
-        let (off, others): (Vec<_>, Vec<_>) = known.into_iter().partition(|(_, agreement)| agreement.spread > most);
-        let names = |views: &[(&Shown, Agreement)]| {
-            listed(&views.iter().map(|(shown, _)| format!("{:?}", shown.name)).collect::<Vec<_>>())
-        };
-        let mut told = Vec::new();
+        let off = known.iter().filter(|(_, agreement)| agreement.spread > most);
+        let off: Vec<String> = off.map(|(shown, _)| format!("{:?}", shown.name)).collect();
         if !off.is_empty() {
-            told.push(format!(
+            return Some(format!(
                 "views that do not show what the others show of the same places: {}; is it their pose, or their image, or was something moved, \
                  or a lamp switched?",
-                names(&off)
+                listed(&off)
             ));
         }
-        let differ = exposure::difference(others.iter().map(|(_, agreement)| agreement.exposure));
-        let most = others.iter().max_by(|a, b| a.1.brighter().abs().total_cmp(&b.1.brighter().abs()));
-        if let Some((most, agreement)) = most.filter(|_| differ > exposure::ALIKE) {
-            told.push(format!(
+        let differ = exposure::difference(known.iter().map(|(_, agreement)| agreement.exposure));
+        let (most, agreement) = known.iter().max_by(|a, b| a.1.brighter().abs().total_cmp(&b.1.brighter().abs()))?;
+        (differ > exposure::ALIKE).then(|| {
+            format!(
                 "the training views are exposed differently, by {:.1} % (root mean square), {:?} most ({:.3} times as bright as the middle \
                  one): --solve-exposure brings them together, unless the light was changed between them",
                 100.0 * differ.exp_m1(),
                 most.name,
                 agreement.brighter().exp()
-            ));
-        }
-        told
+            )
+        })
     }
 }
 

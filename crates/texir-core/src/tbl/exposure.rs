@@ -55,14 +55,26 @@ pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress)
 pub(super) fn solve_photos(
     backend: &mut dyn Backend,
     cameras: &[Camera],
-    mut load: impl FnMut(usize) -> Result<Photo>,
+    load: impl FnMut(usize) -> Result<Photo>,
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
+    let texels = sightings(backend, cameras, load, MIN_COSINE, progress)?;
+    Ok(exposures(&texels, cameras.len())?.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
+}
+
+/// What photos that `load` gives by index show of the texels that two of them see at `min_cosine` or more.
+pub(super) fn sightings(
+    backend: &mut dyn Backend,
+    cameras: &[Camera],
+    mut load: impl FnMut(usize) -> Result<Photo>,
+    min_cosine: f32,
+    progress: &dyn Progress,
+) -> Result<Vec<Vec<Sighting>>> {
     let atlas = Atlas::new(backend, [SIDE, SIDE])?;
     let scene = backend.scene().clone();
-    let options = TblOptions { min_cosine: MIN_COSINE, ..TblOptions::default() };
+    let options = TblOptions { min_cosine, ..TblOptions::default() };
     let mut texels: Vec<Vec<Sighting>> = vec![Vec::new(); atlas.points.len()];
-    let task = Task::start(progress, "exposures", cameras.len() as u64, "views");
+    let _task = Task::start(progress, "exposures", cameras.len() as u64, "views");
     for (view, camera) in cameras.iter().enumerate() {
         progress.check()?;
         let photo = load(view)?;
@@ -76,14 +88,13 @@ pub(super) fn solve_photos(
         });
         progress.advance(1);
     }
-    drop(task);
     texels.retain(|texel| texel.len() > 1);
     if texels.is_empty() {
         return Err(Error::invalid(
             "exposures cannot be told: no surface is seen by two views, neither black nor masked",
         ));
     }
-    Ok(exposures(&texels, cameras.len())?.iter().map(|g| g.map(|g| (-g).exp() as f32)).collect())
+    Ok(texels)
 }
 
 /// How much views differ, in ln, root mean square over views and channels, by the logarithm of each one's brightness over

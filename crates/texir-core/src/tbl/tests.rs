@@ -657,22 +657,29 @@ fn exposures_come_back_and_leave_no_seam() {
 #[test]
 fn what_is_reflected_at_grazing_angles_is_no_exposure() {
     let scene = Arc::new(Scene::new(room()).unwrap());
-    // The last one lies on the floor.
-    let cameras = [[0.9, 0.8, 1.3], [3.1, 2.2, 1.5], [2.0, 1.4, 0.1]].map(|[x, y, z]| Camera {
-        width: 256,
-        height: 128,
-        ..panorama(Vec3::new(x, y, z), x)
-    });
+    // One shows the floor alone, most of it at grazing angles, and two show all of it from above.
+    let cameras = [
+        panorama(Vec3::new(2.0, 1.5, 1.3), 0.3),
+        pinhole(Vec3::new(1.0, 1.5, 0.2), Vec3::new(2.0, 1.5, -0.5)),
+        panorama(Vec3::new(2.5, 1.0, 1.5), 0.7),
+    ];
     let glossy = |p: Vec3, to_camera: Vec3| {
         let to_wall = p.min(ROOM - p);
         let cosine = to_camera[to_wall.min_position()].abs();
-        pattern(p).map(|l| l + (1.0 - cosine).powi(5))
+        pattern(p).map(|l| l * (1.0 + (1.0 - cosine).powi(5)))
     };
-    let load = |i: usize| Ok(Photo::new(photograph(&scene, &cameras[i], glossy), None));
-    let factors = exposure::solve_photos(&mut CpuBackend::new(scene.clone()), &cameras, load, &Silent).unwrap();
-    for factor in factors.as_flattened() {
-        assert!((factor - 1.0).abs() < 0.01, "equal exposures became {factors:?}");
-    }
+    let brighter = |min_cosine: f32| {
+        let load = |i: usize| Ok(Photo::new(photograph(&scene, &cameras[i], glossy), None));
+        let mut backend = CpuBackend::new(scene.clone());
+        let texels = exposure::sightings(&mut backend, &cameras, load, min_cosine, &Silent).unwrap();
+        let [above, along, again] = exposure::exposures(&texels, 3).unwrap()[..] else { panic!("three views") };
+        [along[0] - above[0], again[0] - above[0]]
+    };
+    let told = brighter(exposure::MIN_COSINE);
+    assert!(told.iter().all(|by| by.abs() < 0.04), "views that are exposed alike differ by {told:?}");
+    // Negative control.
+    let by_all = brighter(0.1);
+    assert!(by_all[0] > 0.1 && by_all[1].abs() < 0.04, "{by_all:?}");
 }
 
 #[test]
