@@ -3,9 +3,9 @@
 //! A view `v` shows texel `t` with ln L(v, t) = g(v) + x(t), per channel: its exposure, and the texel's own radiance.
 //! Weighted least squares over all pairs has a closed form once the texels are eliminated; what views see differently
 //! for other reasons (reflections, somebody who walks by) is weighed down and the system solved again. Surfaces reflect
-//! most at grazing angles, at which a view sees much of what it shares with views from other rooms: that does not count.
-//! Only differences between views can be found: the median of g is 0, so that most views stay nearly as they are when a
-//! few differ.
+//! most at grazing angles, at which a view sees much of what it shares with views from other rooms: that does not
+//! count. Only differences between views can be found: the median of g is 0, so that most views stay nearly as they are
+//! when a few differ.
 
 use rayon::prelude::*;
 
@@ -30,8 +30,8 @@ const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.
 const ANCHOR: f64 = 1e-6;
 /// Darker pixels hold noise, where views are about 1 bright.
 const DARK: f32 = 1e-4;
-/// Views whose exposures seem to differ by less (see [`difference`]) are taken to be exposed alike: reflections alone make
-/// that of them.
+/// Views whose exposures seem to differ by less (see [`difference`]) are taken to be exposed alike: reflections alone
+/// make that of them.
 pub const ALIKE: f32 = 0.01;
 /// Least cosine of the angle between a surface's normal and the view that exposures are told by.
 pub(crate) const MIN_COSINE: f32 = 0.4;
@@ -97,8 +97,8 @@ pub(super) fn sightings(
     Ok(texels)
 }
 
-/// How much views differ, in ln, root mean square over views and channels, by the logarithm of each one's brightness over
-/// the middle one's; 0 without any.
+/// How much views differ, in ln, root mean square over views and channels, by the logarithm of each one's brightness
+/// over the middle one's; 0 without any.
 pub fn difference(exposures: impl IntoIterator<Item = [f32; 3]>) -> f32 {
     let (sum, count) = exposures.into_iter().flatten().fold((0.0, 0.0), |(sum, n), e| (sum + e * e, n + 1.0f32));
     (sum / count.max(1.0)).sqrt()

@@ -150,7 +150,7 @@ fn recover(
         scan_models(&mut problem, &segments, settings, progress)?;
     problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1, Edges::OfTexels);
 
-    // 7. Roughness of its colours, and where it has two finishes: of those, pixels that see joints would make a mixture.
+    // 7. Roughness of its colours, and where it has two finishes: pixels that see joints would make a mixture of those.
     let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints, progress)?;
     let half = evidence.halves(&seen.views);
     let surface = Surface {
