@@ -21,6 +21,7 @@ mod gltf;
 mod layout;
 #[cfg(feature = "files")]
 mod materials;
+mod punctual;
 mod series;
 mod solve;
 #[cfg(all(test, feature = "files"))]

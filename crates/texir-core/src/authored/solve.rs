@@ -4,8 +4,8 @@
 use std::f32::consts::PI;
 use std::ops::Range;
 
-use super::Surfaces;
 use super::series::{Remainder, Series};
+use super::{Surfaces, punctual};
 use crate::atlas::{BAND, bands};
 use crate::backend::{BRIGHTEST, Backend, Gather};
 use crate::bake::{self, Quality, Solution, Texels};
@@ -122,11 +122,24 @@ impl Solver<'_> {
         if lights.is_empty() {
             return Ok(());
         }
-        let rays = self.texels.valid() as u64 * lights.len() as u64;
+        let Gather { cosine, light, .. } = self.bounces.quality.gather;
+        let places = punctual::places(cosine.saturating_add(light), lights.len());
+        let rays = self.texels.valid() as u64 * lights.len() as u64 * u64::from(places);
         direct.rays += rays;
         let _task = Task::start(self.progress, "punctual lights", rays, "rays");
-        direct.add_exact(self.texels, |points| self.backend.punctual(points, lights, self.progress))?;
-        Ok(())
+        let (size, checkpoints) = (self.texels.size(), self.checkpoints.within("punctual"));
+        direct.add_exact(self.texels, |number, points| {
+            let mut known = true;
+            let found = checkpoints.array(&format!("piece-{number}"), points.len(), || {
+                known = false;
+                punctual::irradiance(self.backend, size, points, lights, places, self.progress)
+            })?;
+            if known {
+                self.progress.check()?;
+                self.progress.advance(points.len() as u64 * lights.len() as u64 * u64::from(places));
+            }
+            Ok(found)
+        })
     }
 
     /// E from surfaces of radiance `tbl`, with the lights in it, with a `share` of the rays; `bounce` draws other

@@ -118,14 +118,14 @@ impl Solution {
         Ok(())
     }
 
-    /// Adds light without noise, which `light` tells of some points at a time.
+    /// Adds light without noise, which `light` tells of a piece of the points at a time, by its number.
     pub(crate) fn add_exact(
         &mut self,
         texels: &Texels<'_>,
-        mut light: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>>,
+        mut light: impl FnMut(usize, &[SurfacePoint]) -> Result<Vec<[f32; 3]>>,
     ) -> Result<()> {
-        for items in texels.pieces() {
-            let sum = sums(&self.irradiance.get(&items)?, &light(&texels.points.get(&items)?)?);
+        for (number, items) in texels.pieces().enumerate() {
+            let sum = sums(&self.irradiance.get(&items)?, &light(number, &texels.points.get(&items)?)?);
             self.irradiance.set(&items, &sum)?;
         }
         Ok(())

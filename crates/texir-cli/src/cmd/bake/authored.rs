@@ -147,8 +147,12 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         let bounces = summary.series.len() - 1;
         let left = match summary.remainder {
             Some(of_all) => {
-                let of_a_part = 100.0 * summary.remainder_of_a_part;
-                format!(", {:.2} % left out ({of_a_part:.1} % where most is)", 100.0 * of_all)
+                // Where light has only begun to arrive, how much more there will be is a guess.
+                let of_a_part = match summary.remainder_of_a_part {
+                    share if share > 1.0 => "> 100".to_owned(),
+                    share => format!("{:.1}", 100.0 * share),
+                };
+                format!(", {:.2} % left out ({of_a_part} % where most is)", 100.0 * of_all)
             }
             None if bounces > 0 => ", not converged".to_owned(),
             None => String::new(),
