@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use crate::backend::Backend;
 use crate::error::Result;
+use crate::mesh::Mesh;
 use crate::progress::{Progress, Uncounted};
 use crate::punctual::PunctualLight;
 use crate::real::V3;
@@ -16,8 +17,10 @@ use crate::surface::{Hit, SurfacePoint};
 
 /// Most places of a texel at which lights are asked for.
 const PLACES: u64 = 16;
-/// Shadow rays are at most this share of the gather's, if that is one per light and texel.
+/// Shadow rays are at most this share of the gather's, though one per light and texel at least.
 const SHARE: f64 = 0.25;
+/// Places of a texel are lit alike where the darkest has more than this share of the brightest's light.
+const ALIKE: f32 = 0.98;
 
 /// At how many places of a texel so many lights are asked for, where it gathers by so many `rays`: a power of two.
 pub(super) fn places(rays: u32, lights: usize) -> u32 {
@@ -37,49 +40,100 @@ pub(super) fn irradiance(
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
     let scene = backend.scene().clone();
-    let (mut sums, mut counts) = (vec![Vec3::ZERO; points.len()], vec![0u32; points.len()]);
-    for i in 0..places {
-        // A Hammersley set: one place in each of as many columns, and of as many rows.
-        let within = Vec2::new((i as f32 + 0.5) / places as f32, to_unit(i.reverse_bits()) + 0.5 / places as f32);
-        let moved: Vec<Option<SurfacePoint>> =
-            points.par_iter().map(|point| moved(&scene, size, point, within)).collect();
-        let asked: Vec<SurfacePoint> = moved.iter().flatten().copied().collect();
-        let mut found = backend.punctual(&asked, lights, progress)?.into_iter();
-        progress.advance(((points.len() - asked.len()) * lights.len()) as u64);
-        for ((sum, count), _) in sums.iter_mut().zip(&mut counts).zip(&moved).filter(|(_, moved)| moved.is_some()) {
-            *sum += found.next().map_or(Vec3::ZERO, Vec3::from);
-            *count += 1;
+    let over = Over { places, lights };
+    let lit = over.lit(backend, points, progress, |point, within| moved(scene.mesh(), size, point, within))?;
+    // What stands on a texel is of no matter where all of it is lit alike.
+    let edges: Vec<usize> = (0..points.len()).filter(|&i| !lit[i].is_even()).collect();
+    let on_edges: Vec<SurfacePoint> = edges.iter().map(|&i| points[i]).collect();
+    let on_this_side = over.lit(backend, &on_edges, &Uncounted(progress), |point, within| {
+        moved(scene.mesh(), size, point, within).filter(|moved| sees(&scene, point, moved))
+    })?;
+    let mut found: Vec<[f32; 3]> = lit.iter().map(Lit::mean).collect();
+    edges.into_iter().zip(on_this_side).for_each(|(i, lit)| found[i] = lit.mean());
+    Ok(found)
+}
+
+/// Which places of texels are asked for which lights.
+struct Over<'a> {
+    places: u32,
+    lights: &'a [PunctualLight],
+}
+
+impl Over<'_> {
+    /// What arrives over the texels of `points` at the places that `at` knows, or else at their points.
+    fn lit(
+        &self,
+        backend: &mut dyn Backend,
+        points: &[SurfacePoint],
+        progress: &dyn Progress,
+        at: impl Fn(&SurfacePoint, Vec2) -> Option<SurfacePoint> + Sync,
+    ) -> Result<Vec<Lit>> {
+        let mut lit = vec![Lit::default(); points.len()];
+        for i in 0..self.places {
+            // A Hammersley set: one place in each of as many columns, and of as many rows.
+            let within = Vec2::new(i as f32 + 0.5, 0.5) / self.places as f32 + Vec2::Y * to_unit(i.reverse_bits());
+            let moved: Vec<Option<SurfacePoint>> = points.par_iter().map(|point| at(point, within)).collect();
+            let asked: Vec<SurfacePoint> = moved.iter().flatten().copied().collect();
+            let found = backend.punctual(&asked, self.lights, progress)?;
+            progress.advance(((points.len() - asked.len()) * self.lights.len()) as u64);
+            let known = lit.iter_mut().zip(&moved).filter(|(_, moved)| moved.is_some());
+            known.zip(found).for_each(|((lit, _), e)| lit.add(e));
         }
+        let (mut alone, asked): (Vec<&mut Lit>, Vec<SurfacePoint>) =
+            lit.iter_mut().zip(points).filter(|(lit, _)| lit.count == 0).unzip();
+        let found = backend.punctual(&asked, self.lights, &Uncounted(progress))?;
+        alone.iter_mut().zip(found).for_each(|(lit, e)| lit.add(e));
+        Ok(lit)
     }
-    let alone: Vec<usize> = (0..points.len()).filter(|&i| counts[i] == 0).collect();
-    let asked: Vec<SurfacePoint> = alone.iter().map(|&i| points[i]).collect();
-    for (i, e) in alone.into_iter().zip(backend.punctual(&asked, lights, &Uncounted(progress))?) {
-        (sums[i], counts[i]) = (e.into(), 1);
+}
+
+/// What arrives at the places of a texel.
+#[derive(Clone, Copy, Default)]
+struct Lit {
+    sum: Vec3,
+    count: u32,
+    /// Of the sum of the channels.
+    darkest: f32,
+    brightest: f32,
+}
+
+impl Lit {
+    fn add(&mut self, e: [f32; 3]) {
+        let e = Vec3::from(e);
+        let bright = e.element_sum();
+        self.darkest = if self.count == 0 { bright } else { self.darkest.min(bright) };
+        self.brightest = self.brightest.max(bright);
+        self.sum += e;
+        self.count += 1;
     }
-    Ok(sums.iter().zip(&counts).map(|(sum, &count)| (*sum / count as f32).to_array()).collect())
+
+    fn is_even(&self) -> bool {
+        self.darkest >= ALIKE * self.brightest
+    }
+
+    fn mean(&self) -> [f32; 3] {
+        (self.sum / self.count as f32).to_array()
+    }
 }
 
 /// The surface at a place within a point's texel, the texel's corner at 0 and the next one's at 1; `None` beyond the
-/// point's triangle, and behind what stands between the two.
-fn moved(scene: &Scene, [width, height]: [usize; 2], point: &SurfacePoint, within: Vec2) -> Option<SurfacePoint> {
+/// point's triangle.
+fn moved(mesh: &Mesh, [width, height]: [usize; 2], point: &SurfacePoint, within: Vec2) -> Option<SurfacePoint> {
     let (column, row) = (point.sequence as usize % width, point.sequence as usize / width);
     let place = Vec2::new(column as f32, row as f32) + within;
-    let corners = scene.mesh().corner_uvs(point.triangle);
-    let [a, b, c] = corners.map(|uv| uv * Vec2::new(width as f32, height as f32));
-    let texels = Mat2::from_cols(b - a, c - a);
+    let [a, b, c] = mesh.corner_uvs(point.triangle).map(|uv| uv * Vec2::new(width as f32, height as f32));
     // Of a triangle without area these are no numbers, and none of them lies in it.
-    let at = texels.inverse() * (place - a);
-    if !(at.min_element() >= 0.0 && at.element_sum() <= 1.0) {
-        return None;
-    }
+    let at = Mat2::from_cols(b - a, c - a).inverse() * (place - a);
     let hit = Hit { triangle: point.triangle, u: at.x, v: at.y, t: 0.0 };
-    let moved = SurfacePoint { sequence: point.sequence, ..SurfacePoint::new(scene.mesh(), &hit, None) };
-    let way = Vec3::from(moved.position) - Vec3::from(point.position);
-    let distance = way.length();
-    let met = way
-        .try_normalize()
-        .and_then(|direction| Trace::<f32>::closest(scene, V3::of(point.position), V3::of(direction.to_array())));
-    met.is_none_or(|hit| hit.t > distance).then_some(moved)
+    let inside = at.min_element() >= 0.0 && at.element_sum() <= 1.0;
+    inside.then(|| SurfacePoint { sequence: point.sequence, ..SurfacePoint::new(mesh, &hit, None) })
+}
+
+/// Whether nothing stands between two points.
+fn sees(scene: &Scene, from: &SurfacePoint, to: &SurfacePoint) -> bool {
+    let way = Vec3::from(to.position) - Vec3::from(from.position);
+    let closest = |direction: Vec3| Trace::<f32>::closest(scene, V3::of(from.position), V3::of(direction.to_array()));
+    way.try_normalize().and_then(closest).is_none_or(|hit| hit.t > way.length())
 }
 
 #[cfg(test)]
@@ -87,7 +141,6 @@ mod tests {
     use super::*;
     use crate::bake::{Texels, Workspace};
     use crate::cpu::CpuBackend;
-    use crate::mesh::Mesh;
     use crate::progress::Silent;
 
     /// Columns and rows of the map, of which the floor has the left half.
