@@ -14,6 +14,7 @@ use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, luminance, mean_of_channels, mean_pixel};
 use crate::stats::median;
 use crate::tbl::exposure::{self, Sighting};
+use crate::tbl::pose;
 
 /// Columns of a view as it is looked at, at most.
 const COLUMNS: usize = 256;
@@ -55,6 +56,9 @@ pub struct Shown {
     pub noise: Option<f32>,
     /// How it agrees with other views of the same places; `None` where too few show enough of them.
     pub agreement: Option<Agreement>,
+    /// By how many of its pixels it should at least be moved to show what the others show; `None` where views are in
+    /// place (see [`pose::out_of_place`]).
+    pub out_of_place: Option<f32>,
 }
 
 /// A part of what a view shows.
@@ -111,6 +115,7 @@ impl Survey {
                 largest,
                 noise,
                 agreement: None,
+                out_of_place: None,
             };
             let means = of_view.look(backend, view, &image)?;
             cells.extend(means.into_iter().map(|(cell, log)| (cell, Sighting { view: index, log })));
@@ -119,6 +124,10 @@ impl Survey {
         }
         drop(task);
         agreements(&mut shown, cells);
+        for (shown, pixels) in shown.iter_mut().zip(pose::out_of_place(backend, views, progress)?.into_iter().flatten())
+        {
+            shown.out_of_place = Some(pixels);
+        }
         Ok(Self(shown))
     }
 
@@ -178,6 +187,7 @@ impl Survey {
         told.extend(self.clipped());
         told.extend(self.noisy());
         told.extend(self.contradicted());
+        told.extend(self.out_of_place());
         told
     }
 
@@ -224,6 +234,18 @@ impl Survey {
                 100.0 * noise
             )
         })
+    }
+
+    fn out_of_place(&self) -> Option<String> {
+        let off = || self.0.iter().filter_map(|shown| Some((shown, shown.out_of_place?)));
+        let (most, pixels) = off().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let mean_square = off().map(|(_, pixels)| pixels.powi(2)).sum::<f32>() / off().count() as f32;
+        Some(format!(
+            "the training views are out of place on the mesh, by {:.1} pixels or more (root mean square; {:?} most, by {pixels:.1}): \
+             --refine-poses moves them to where they agree, unless it is the mesh that is off, or something was moved",
+            mean_square.sqrt(),
+            most.name
+        ))
     }
 
     /// Views that show something else than the others; without any, views that show it brighter or darker.
@@ -415,6 +437,25 @@ mod tests {
         assert!(told([Some(0.08), Some(0.09), Some(0.01)]));
         assert!(!told([Some(0.01), Some(0.09), Some(0.01)]));
         assert!(!told([None; 3]));
+    }
+
+    #[test]
+    fn views_out_of_place_are_told_of_with_the_worst() {
+        let view = |name: &str, out_of_place| Shown {
+            name: name.to_owned(),
+            out_of_place,
+            behind: Share::default(),
+            open: Share::default(),
+            all: Share::default(),
+            largest: (1.0, 0.0),
+            noise: None,
+            agreement: None,
+        };
+        let told = |[a, b, c]: [Option<f32>; 3]| Survey(vec![view("a", a), view("b", b), view("c", c)]).warnings();
+        let warnings = told([Some(1.0), Some(7.0), Some(1.0)]);
+        assert!(warnings.len() == 1 && warnings[0].contains("4.1 pixels"), "{warnings:?}");
+        assert!(warnings[0].contains("\"b\" most, by 7.0"), "{warnings:?}");
+        assert_eq!(told([None; 3]), [""; 0]);
     }
 
     #[test]

@@ -1,23 +1,28 @@
-//! Small errors of the camera poses, from surfaces that several views see.
+//! Errors of the camera poses, from surfaces that several views see.
 //!
 //! Texels that other views see predict what a view shows of them. Gauss–Newton steps over the six degrees of freedom of
 //! a rigid motion lessen the difference in logarithmic luminance (direct image alignment, Lucas and Kanade 1981; in
-//! logarithms, so that lamps do not outweigh the room). The mesh stays where it is: cameras move against it. A view
-//! moves only where that lessens its difference; a view that is brighter than the others throughout is taken to be
-//! exposed so, and what views see differently for other reasons is weighed down (Cauchy weights).
+//! logarithms, so that lamps do not outweigh the room). A step sees no farther than a pixel or two, so views are first
+//! compared in the widest pixels that tell of an error, and then in ever smaller ones. The mesh stays where it is:
+//! cameras move against it. A view moves only where that lessens its difference; a view that is brighter than the
+//! others throughout is taken to be exposed so, and what views see differently for other reasons is weighed down
+//! (Cauchy weights).
 
-use glam::{DVec2, Mat4, Quat, Vec3};
+mod align;
+
+use std::sync::Arc;
+
+use glam::{DVec2, Mat4, Vec3};
 use rayon::prelude::*;
 
+use self::align::{Prediction, align, residual, robust};
 use super::photo;
-use super::photo::Photo;
 use crate::atlas::Atlas;
-use crate::backend::Backend;
+use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::capture::View;
-use crate::cholesky;
 use crate::error::Result;
-use crate::light_unit::in_own_unit;
+use crate::light_unit::unit;
 use crate::progress::{Progress, Task};
 use crate::raster::{Gray, mean_of_channels};
 use crate::stats::median;
@@ -25,75 +30,251 @@ use crate::surface::SurfacePoint;
 
 /// Side of the atlas whose texels are compared.
 const SIDE: usize = 512;
-/// Texels that are compared at most.
+/// Texels that are compared at most,
 const TEXELS: usize = 60_000;
-/// How often all views move against what the others show.
-const ROUNDS: usize = 5;
-/// Gauss–Newton steps of a view in a round.
-const STEPS: usize = 3;
-/// Difference of ln L at which a texel counts half.
-const SCALE: f32 = 0.1;
-/// Motion over which derivatives are taken, metres and radians: a fraction of a pixel.
-const DELTA: f32 = 2e-3;
+/// in pixels that are wider than need be,
+const FEW_TEXELS: usize = 20_000;
+/// and where it is only asked whether views are in place.
+const FEWEST_TEXELS: usize = 6_000;
+/// Pixels are not compared that are narrower than this, radians: a tenth of one is less than a texel covers.
+const FINEST: f32 = 2e-3;
+/// Pixels are not made wider than this, radians: a room is only some dozens of them wide.
+const COARSEST: f32 = 0.1;
+/// Rows and columns of an image that are left at least.
+const FEWEST_ROWS: usize = 16;
+/// Wide pixels count where they move views by this many of them, root mean square: what else differs between views
+/// moves them by less.
+const TELLING: f32 = 0.6;
+/// Views are out of place where they move by this many pixels, root mean square, in the end.
+const OUT_OF_PLACE: f32 = 0.5;
+/// How often all views move against what the others show, in pixels of one width,
+const ROUNDS: usize = 6;
+/// and where it is only asked whether views are in place.
+const FEW_ROUNDS: usize = 4;
 /// Surfaces that are seen at a smaller cosine are not compared: they move too far in the image.
 const MIN_COSINE: f32 = 0.2;
 /// Keeps the logarithm of black finite, where views are about 1 bright.
 const BLACK: f32 = 1e-4;
 
-/// A texel, and the ln L that other views show of it.
-type Prediction = (Vec3, f32);
-
 /// The views' poses (camera to world), refined.
 pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Mat4>> {
-    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let (views, _) = in_own_unit(views, progress)?;
-    let refined = refine_photos(backend, cameras, |i| photo(&views[i], progress), progress)?;
-    Ok(refined.iter().map(|camera| camera.world_from_camera).collect())
+    let (pictures, points) = (pictures(views, progress)?, points(backend)?);
+    let refined = refine_pictures(backend, &pictures, &points, ROUNDS, progress)?;
+    Ok(refined.iter().map(|picture| picture.camera.world_from_camera).collect())
 }
 
-/// [`refine`] for photos that `load` gives by index.
-pub(super) fn refine_photos(
+/// By how many of its pixels each view should be moved, roughly, to show what the others show of the same surfaces.
+/// `None` where views are in place, as far as can be told at a fraction of what [`refine`] costs: to 0.5 pixels, root
+/// mean square over the views, those narrower than 0.1° taken as so wide.
+pub fn out_of_place(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Option<Vec<f32>>> {
+    let (pictures, points) = (pictures(views, progress)?, some_of(&points(backend)?, FEWEST_TEXELS));
+    let refined = refine_pictures(backend, &pictures, &points, FEW_ROUNDS, progress)?;
+    let mut pixels = apart(backend, &points, &pictures, &refined)?;
+    if root_mean_square(&pixels) < OUT_OF_PLACE {
+        return Ok(None);
+    }
+    for ((pixels, picture), view) in pixels.iter_mut().zip(&pictures).zip(views) {
+        *pixels *= picture.camera.pixel_angle() / view.camera.pixel_angle();
+    }
+    Ok(Some(pixels))
+}
+
+/// What a view shows.
+#[derive(Clone, Debug)]
+pub(super) struct Picture {
+    pub camera: Camera,
+    /// ln of the mean of the channels; NaN where a pixel must not be used.
+    log: Arc<Gray>,
+}
+
+impl Picture {
+    /// What a camera sees: the mean of the channels, which is about 1 in `unit`.
+    pub(super) fn new(camera: Camera, means: &Gray, unit: f32) -> Self {
+        Self { camera, log: Arc::new(means.map(|mean| (unit * mean + BLACK).ln())) }
+    }
+
+    /// The same in pixels 2^`level` times as wide, or as wide as is possible up to that.
+    fn at(&self, level: u32) -> Self {
+        let width = self.camera.pixel_angle() * (1 << level) as f32;
+        let (factor, camera) = reduced(&self.camera, COARSEST.min(width));
+        let mean = |logs: &[f32]| logs.iter().sum::<f32>() / logs.len() as f32;
+        Self { camera, log: Arc::new(Gray::clone(&self.log).reduced(factor, mean)) }
+    }
+
+    /// The same from where another camera is.
+    fn posed_as(&self, other: &Camera) -> Self {
+        let camera = Camera { world_from_camera: other.world_from_camera, ..self.camera };
+        Self { camera, log: self.log.clone() }
+    }
+
+    /// ln L of the points, from where they are seen well; NaN elsewhere.
+    fn show(&self, backend: &mut dyn Backend, points: &[SurfacePoint]) -> Result<Vec<f32>> {
+        let log = |at: &Projected| match at.distance > 0.0 && at.cosine >= MIN_COSINE {
+            true => self.log.bilinear(DVec2::from(at.pixel.map(f64::from)), self.camera.wraps()),
+            false => f32::NAN,
+        };
+        Ok(backend.project(points, &self.camera)?.iter().map(log).collect())
+    }
+}
+
+/// A camera with pixels as wide as can be, up to so many radians and as [`FEWEST_ROWS`] allows; how many times as wide
+/// they are.
+fn reduced(camera: &Camera, width: f32) -> (usize, Camera) {
+    let rows = camera.width.min(camera.height) / FEWEST_ROWS;
+    let most = ((width / camera.pixel_angle()) as usize).clamp(1, rows.max(1));
+    let possible = (1..=most).rev().find_map(|factor| Some((factor, camera.reduced(factor)?)));
+    possible.unwrap_or((1, *camera))
+}
+
+/// What the views show, in the smallest pixels that are compared.
+fn pictures(views: &[View], progress: &dyn Progress) -> Result<Vec<Picture>> {
+    let _task = Task::start(progress, "what views show", views.len() as u64, "views");
+    let mut seen = Vec::with_capacity(views.len());
+    for view in views {
+        progress.check()?;
+        let (factor, camera) = reduced(&view.camera, FINEST);
+        let photo = photo(view.reduced(factor).as_ref().unwrap_or(view), progress)?;
+        seen.push((camera, photo.image.map(|radiance| mean_of_channels(*radiance))));
+        progress.advance(1);
+    }
+    let all = || seen.iter().flat_map(|(_, means)| &means.data).filter(|mean| mean.is_finite());
+    let unit = unit(all().map(|mean| f64::from(*mean)).sum::<f64>() / all().count() as f64);
+    Ok(seen.into_iter().map(|(camera, means)| Picture::new(camera, &means, unit)).collect())
+}
+
+/// Surface points that views are compared at.
+pub(super) fn points(backend: &mut dyn Backend) -> Result<Vec<SurfacePoint>> {
+    Ok(some_of(&Atlas::new(backend, [SIDE, SIDE])?.points, TEXELS))
+}
+
+/// Points here and there, `most` of them.
+fn some_of(points: &[SurfacePoint], most: usize) -> Vec<SurfacePoint> {
+    points.iter().step_by(points.len().div_ceil(most)).copied().collect()
+}
+
+/// Pictures, compared at `points`, with their cameras refined in so many `rounds` per width of their pixels.
+pub(super) fn refine_pictures(
     backend: &mut dyn Backend,
-    mut cameras: Vec<Camera>,
-    mut load: impl FnMut(usize) -> Result<Photo>,
+    pictures: &[Picture],
+    points: &[SurfacePoint],
+    rounds: usize,
     progress: &dyn Progress,
-) -> Result<Vec<Camera>> {
-    let atlas = Atlas::new(backend, [SIDE, SIDE])?;
-    let points: Vec<SurfacePoint> = atlas.points.iter().step_by(atlas.points.len().div_ceil(TEXELS)).copied().collect();
-    let _task = Task::start(progress, "camera poses", (ROUNDS * cameras.len()) as u64, "views");
-    for _ in 0..ROUNDS {
-        let mut shown: Vec<Vec<f32>> = Vec::with_capacity(cameras.len());
-        for (view, camera) in cameras.iter().enumerate() {
-            progress.check()?;
-            let image = log_means(&load(view)?);
-            let projected = backend.project(&points, camera)?;
-            let log = |at: &crate::backend::Projected| match at.distance > 0.0 && at.cosine >= MIN_COSINE {
-                true => image.bilinear(DVec2::from(at.pixel.map(f64::from)), camera.wraps()),
-                false => f32::NAN,
-            };
-            shown.push(projected.iter().map(log).collect());
+) -> Result<Vec<Picture>> {
+    let widest = pictures.iter().map(|picture| reduced(&picture.camera, COARSEST).0).max().unwrap_or(1);
+    let coarsest = widest.ilog2();
+    let moves = (coarsest as usize + 1) * rounds * pictures.len();
+    let _task = Task::start(progress, "camera poses", moves as u64, "views");
+    let few = some_of(points, FEW_TEXELS);
+    let mut best = Compared::new(backend, &few, pictures.to_vec())?;
+    let mut were_out = false;
+    for level in (1..=coarsest).rev() {
+        let wide: Vec<Picture> = best.pictures.iter().map(|picture| picture.at(level)).collect();
+        let mut compared = Compared::new(backend, &few, wide.clone())?;
+        compared.rounds(rounds, backend, progress)?;
+        let pixels = apart(backend, &few, &wide, &compared.pictures)?;
+        // Finer levels lessen the errors of coarser ones.
+        if !were_out && root_mean_square(&pixels) < TELLING {
+            continue;
         }
-        // Exposures of their own are no motion.
-        let exposures: Vec<f32> = (0..cameras.len()).map(|view| exposure(&shown, view)).collect();
-        for (logs, exposure) in shown.iter_mut().zip(exposures) {
-            logs.iter_mut().for_each(|log| *log -= exposure);
-        }
-        for (view, camera) in cameras.iter_mut().enumerate() {
-            progress.check()?;
-            let mut predictions: Vec<Prediction> = (0..points.len())
-                .into_par_iter()
-                .filter(|&i| shown[view][i].is_finite())
-                .filter_map(|i| Some((Vec3::from(points[i].position), others(&shown, view, i)?)))
-                .collect();
-            let image = log_means(&load(view)?);
-            let mut brighter: Vec<f32> = predictions.iter().filter_map(|p| residual(camera, &image, p)).collect();
-            let exposure = median(&mut brighter).unwrap_or(0.0);
-            predictions.iter_mut().for_each(|(_, log)| *log += exposure);
-            *camera = align(*camera, &image, &predictions);
-            progress.advance(1);
+        let moved = pictures.iter().zip(&compared.pictures).map(|(picture, moved)| picture.posed_as(&moved.camera));
+        let moved = Compared::new(backend, &few, moved.collect())?;
+        if moved.difference() < best.difference() {
+            (best, were_out) = (moved, true);
         }
     }
-    Ok(cameras)
+    let mut best = Compared::new(backend, points, best.pictures)?;
+    best.rounds(rounds, backend, progress)?;
+    Ok(best.pictures)
+}
+
+/// How many of its pixels lie between where a picture shows what it sees and where it would show that as another that
+/// is posed otherwise; for each of `before`, root mean square.
+fn apart(
+    backend: &mut dyn Backend,
+    points: &[SurfacePoint],
+    before: &[Picture],
+    after: &[Picture],
+) -> Result<Vec<f32>> {
+    let of_picture = |(Picture { camera: a, .. }, Picture { camera: b, .. }): (&Picture, &Picture)| {
+        let [from_a, from_b] = [a, b].map(|camera| camera.world_from_camera.inverse());
+        let angle = |point: &SurfacePoint| {
+            let [a, b] = [from_a, from_b].map(|camera| camera.transform_point3(point.position.into()).normalize());
+            a.distance(b)
+        };
+        let projected = backend.project(points, a)?;
+        let seen = projected.iter().zip(points).filter(|(at, _)| at.distance > 0.0);
+        let angles: Vec<f32> = seen.map(|(_, point)| angle(point)).collect();
+        Ok(root_mean_square(&angles) / a.pixel_angle())
+    };
+    before.iter().zip(after).map(of_picture).collect()
+}
+
+/// 0 of nothing.
+fn root_mean_square(values: &[f32]) -> f32 {
+    (values.iter().map(|value| value.powi(2)).sum::<f32>() / values.len().max(1) as f32).sqrt()
+}
+
+/// Pictures beside each other.
+struct Compared<'a> {
+    points: &'a [SurfacePoint],
+    pictures: Vec<Picture>,
+    /// By how much each picture is brighter than the others, in ln L: that is no motion.
+    exposures: Vec<f32>,
+    /// ln L of the points in each picture, but for its exposure.
+    shown: Vec<Vec<f32>>,
+}
+
+impl<'a> Compared<'a> {
+    fn new(backend: &mut dyn Backend, points: &'a [SurfacePoint], pictures: Vec<Picture>) -> Result<Self> {
+        let shown = pictures.iter().map(|picture| picture.show(backend, points)).collect::<Result<Vec<_>>>()?;
+        let exposures = (0..pictures.len()).map(|view| exposure(&shown, view)).collect();
+        let mut compared = Self { points, pictures, exposures, shown };
+        (0..compared.shown.len()).for_each(|view| compared.bring_to_one_exposure(view));
+        Ok(compared)
+    }
+
+    fn bring_to_one_exposure(&mut self, view: usize) {
+        self.shown[view].iter_mut().for_each(|log| *log -= self.exposures[view]);
+    }
+
+    /// The mean difference, robustly, between what a picture shows of a point and what the others show.
+    fn difference(&self) -> f64 {
+        let views = 0..self.pictures.len();
+        let of_view = |view: usize| -> Vec<f64> {
+            let difference = |i: usize| Some(self.shown[view][i] - others(&self.shown, view, i)?);
+            let points = (0..self.points.len()).into_par_iter().filter_map(difference);
+            points.filter(|difference| difference.is_finite()).map(robust).collect()
+        };
+        let all: Vec<f64> = views.flat_map(of_view).collect();
+        all.iter().sum::<f64>() / all.len() as f64
+    }
+
+    fn rounds(&mut self, rounds: usize, backend: &mut dyn Backend, progress: &dyn Progress) -> Result<()> {
+        (0..rounds).try_for_each(|_| self.round(backend, progress))
+    }
+
+    /// Moves one picture after the other to where it shows what the others show.
+    fn round(&mut self, backend: &mut dyn Backend, progress: &dyn Progress) -> Result<()> {
+        for view in 0..self.pictures.len() {
+            progress.check()?;
+            let Picture { camera, log } = &self.pictures[view];
+            let mut predictions = self.predictions(view);
+            let mut brighter: Vec<f32> = predictions.iter().filter_map(|p| residual(camera, log, p)).collect();
+            let exposure = median(&mut brighter).unwrap_or(0.0);
+            predictions.iter_mut().for_each(|(_, log)| *log += exposure);
+            self.pictures[view].camera = align(*camera, log, &predictions);
+            self.shown[view] = self.pictures[view].show(backend, self.points)?;
+            self.bring_to_one_exposure(view);
+            progress.advance(1);
+        }
+        Ok(())
+    }
+
+    /// What a picture should show of the points that it does show.
+    fn predictions(&self, view: usize) -> Vec<Prediction> {
+        let others = |i: usize| Some((Vec3::from(self.points[i].position), others(&self.shown, view, i)?));
+        (0..self.points.len()).into_par_iter().filter(|&i| self.shown[view][i].is_finite()).filter_map(others).collect()
+    }
 }
 
 /// The median of the ln L that the other views show of point `i`, if any does.
@@ -106,72 +287,4 @@ fn others(shown: &[Vec<f32>], view: usize, i: usize) -> Option<f32> {
 fn exposure(shown: &[Vec<f32>], view: usize) -> f32 {
     let brighter = |i: usize| Some(shown[view][i] - others(shown, view, i)?).filter(|brighter| brighter.is_finite());
     median(&mut (0..shown[view].len()).filter_map(brighter).collect::<Vec<f32>>()).unwrap_or(0.0)
-}
-
-/// ln of the mean of the channels; NaN where a pixel must not be used.
-fn log_means(photo: &Photo) -> Gray {
-    photo.image.map(|radiance| (mean_of_channels(*radiance) + BLACK).ln())
-}
-
-/// Moves a camera until it shows what is predicted, as well as a few steps allow.
-fn align(mut camera: Camera, image: &Gray, predictions: &[Prediction]) -> Camera {
-    let mut error = difference(&camera, image, predictions);
-    for _ in 0..STEPS {
-        let Some(motion) = gauss_newton(&camera, image, predictions) else { break };
-        let candidate = moved(&camera, motion);
-        let new = difference(&candidate, image, predictions);
-        // An error that is not a number moves nothing.
-        if !(new < error) {
-            break;
-        }
-        (camera, error) = (candidate, new);
-    }
-    camera
-}
-
-/// The camera after a motion in its own frame: metres along its axes, then radians about them.
-fn moved(camera: &Camera, [x, y, z, a, b, c]: [f32; 6]) -> Camera {
-    let motion = Mat4::from_rotation_translation(Quat::from_scaled_axis(Vec3::new(a, b, c)), Vec3::new(x, y, z));
-    Camera { world_from_camera: camera.world_from_camera * motion, ..*camera }
-}
-
-/// What the camera shows of a prediction, less the prediction, in ln L.
-fn residual(camera: &Camera, image: &Gray, &(position, log): &Prediction) -> Option<f32> {
-    let residual = image.bilinear(camera.project(position)?.as_dvec2(), camera.wraps()) - log;
-    residual.is_finite().then_some(residual)
-}
-
-/// The mean robust difference (Cauchy).
-fn difference(camera: &Camera, image: &Gray, predictions: &[Prediction]) -> f64 {
-    let robust = |p: &Prediction| residual(camera, image, p).map(|r| f64::from((r / SCALE).powi(2)).ln_1p());
-    let (sum, count) =
-        predictions.iter().filter_map(robust).fold((0.0, 0u32), |(sum, count), cost| (sum + cost, count + 1));
-    sum / f64::from(count)
-}
-
-/// The motion that minimises the weighted squares of the linearised residuals; `None` where they do not determine it.
-fn gauss_newton(camera: &Camera, image: &Gray, predictions: &[Prediction]) -> Option<[f32; 6]> {
-    let steps: [[Camera; 2]; 6] = std::array::from_fn(|k| {
-        [DELTA, -DELTA].map(|delta| moved(camera, std::array::from_fn(|i| if i == k { delta } else { 0.0 })))
-    });
-    let row = |p: &Prediction| -> Option<([f64; 6], f64, f64)> {
-        let r = residual(camera, image, p)?;
-        let mut jacobian = [0.0; 6];
-        for (derivative, [ahead, behind]) in jacobian.iter_mut().zip(&steps) {
-            *derivative = f64::from((residual(ahead, image, p)? - residual(behind, image, p)?) / (2.0 * DELTA));
-        }
-        Some((jacobian, f64::from(r), 1.0 / (1.0 + f64::from(r / SCALE).powi(2))))
-    };
-    let rows: Vec<_> = predictions.par_iter().filter_map(row).collect();
-    let (mut matrix, mut right) = ([0.0; 36], [[0.0]; 6]);
-    for (jacobian, r, weight) in rows {
-        for i in 0..6 {
-            for j in 0..6 {
-                matrix[i * 6 + j] += weight * jacobian[i] * jacobian[j];
-            }
-            right[i][0] -= weight * jacobian[i] * r;
-        }
-    }
-    cholesky::solve(&mut matrix, &mut right)?;
-    Some(right.map(|[x]| x as f32))
 }

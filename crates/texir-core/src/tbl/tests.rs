@@ -682,42 +682,92 @@ fn what_is_reflected_at_grazing_angles_is_no_exposure() {
     assert!(by_all[0] > 0.1 && by_all[1].abs() < 0.04, "{by_all:?}");
 }
 
+/// Cameras moved by so many metres and radians, each another way.
+fn out_of_place(cameras: &[Camera], metres: f32, radians: f32) -> Vec<Camera> {
+    let moved = |(i, camera): (usize, &Camera)| {
+        let way =
+            |phase: f32| Vec3::new((i as f32 + phase).sin(), (2.3 * i as f32 + phase).cos(), (1.7 * i as f32).sin());
+        let turn = glam::Quat::from_scaled_axis(way(0.5).normalize() * radians);
+        let motion = Mat4::from_rotation_translation(turn, way(0.0).normalize() * metres);
+        Camera { world_from_camera: camera.world_from_camera * motion, ..*camera }
+    };
+    cameras.iter().enumerate().map(moved).collect()
+}
+
+/// How far cameras are from where they should be, metres and radians, in the mean.
+fn off(cameras: &[Camera], truth: &[Camera]) -> (f32, f32) {
+    let pairs = || cameras.iter().zip(truth);
+    let shift: f32 = pairs().map(|(a, b)| a.position().distance(b.position())).sum();
+    let turn = |a: &Camera, b: &Camera| {
+        let [a, b] = [a, b].map(|c| glam::Quat::from_mat4(&c.world_from_camera));
+        a.angle_between(b)
+    };
+    (shift / truth.len() as f32, pairs().map(|(a, b)| turn(a, b)).sum::<f32>() / truth.len() as f32)
+}
+
+/// Cameras that are refined by what their images show.
+fn refined(scene: &Arc<Scene>, cameras: &[Camera], images: &[Rgb]) -> Vec<Camera> {
+    let picture = |(camera, image): (&Camera, &Rgb)| {
+        pose::Picture::new(*camera, &image.map(|radiance| mean_of_channels(*radiance)), 1.0)
+    };
+    let pictures: Vec<_> = cameras.iter().zip(images).map(picture).collect();
+    let mut backend = CpuBackend::new(scene.clone());
+    let points = pose::points(&mut backend).unwrap();
+    let refined = pose::refine_pictures(&mut backend, &pictures, &points, 6, &Silent).unwrap();
+    refined.into_iter().map(|picture| picture.camera).collect()
+}
+
 #[test]
 fn small_errors_of_poses_are_lessened() {
     let scene = Arc::new(Scene::new(room()).unwrap());
     let truth = many_cameras();
     let images: Vec<Rgb> = truth.iter().map(|c| photograph(&scene, c, |p, _| pattern(p))).collect();
-    // 8 mm and 0.3°, another way for each view.
-    let moved = |(i, camera): (usize, &Camera)| {
-        let way =
-            |phase: f32| Vec3::new((i as f32 + phase).sin(), (2.3 * i as f32 + phase).cos(), (1.7 * i as f32).sin());
-        let turn = glam::Quat::from_scaled_axis(way(0.5).normalize() * 0.3_f32.to_radians());
-        let motion = Mat4::from_rotation_translation(turn, way(0.0).normalize() * 0.008);
-        Camera { world_from_camera: camera.world_from_camera * motion, ..*camera }
-    };
-    let cameras: Vec<Camera> = truth.iter().enumerate().map(moved).collect();
-    let refined = |exposure: f32| {
-        // The first view's, which is no motion.
-        let exposed = |i: usize| images[i].map(|l| l.map(|l| if i == 0 { exposure * l } else { l }));
-        let load = |i: usize| Ok(Photo::new(exposed(i), None));
-        pose::refine_photos(&mut CpuBackend::new(scene.clone()), cameras.clone(), load, &Silent).unwrap()
-    };
-    let off = |cameras: &[Camera]| {
-        let pairs = || cameras.iter().zip(&truth);
-        let shift: f32 = pairs().map(|(a, b)| a.position().distance(b.position())).sum();
-        let turn = |a: &Camera, b: &Camera| {
-            let [a, b] = [a, b].map(|c| glam::Quat::from_mat4(&c.world_from_camera));
-            a.angle_between(b)
-        };
-        (shift / truth.len() as f32, pairs().map(|(a, b)| turn(a, b)).sum::<f32>() / truth.len() as f32)
-    };
+    let cameras = out_of_place(&truth, 0.008, 0.3_f32.to_radians());
     for exposure in [1.0, 2.0] {
-        let (before, after) = (off(&cameras), off(&refined(exposure)));
+        // The first view's, which is no motion.
+        let mut exposed = images.clone();
+        exposed[0] = images[0].map(|l| l.map(|l| exposure * l));
+        let (before, after) = (off(&cameras, &truth), off(&refined(&scene, &cameras, &exposed), &truth));
         assert!(
             after.0 < 0.5 * before.0 && after.1 < 0.5 * before.1,
             "poses were off by {before:?}, are by {after:?} at an exposure of {exposure}"
         );
     }
+}
+
+#[test]
+fn poses_that_are_off_by_many_pixels_are_found() {
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let truth: Vec<Camera> = many_cameras().iter().map(|camera| camera.supersampled(2)).collect();
+    // What is 8 cm wide from crest to crest is seen in 4 to 16 pixels.
+    let detailed = |p: Vec3| {
+        let (wide, narrow) = (pattern(p), pattern(15.0 * p));
+        std::array::from_fn(|c| wide[c] * narrow[c])
+    };
+    let images: Vec<Rgb> = truth.iter().map(|c| photograph(&scene, c, |p, _| detailed(p))).collect();
+    let cameras = out_of_place(&truth, 0.03, 4_f32.to_radians());
+    let after = off(&refined(&scene, &cameras, &images), &truth);
+    // At a metre, for the shift; in pixels of one width, 5.4 of 5.7 are left.
+    let pixel = truth[0].pixel_angle();
+    assert!(after.0 < 0.5 * pixel && after.1 < 0.5 * pixel, "poses are off by {after:?}, pixels are {pixel} wide");
+}
+
+#[test]
+fn views_that_are_out_of_place_are_told_of() {
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let views = written(&scene, folder.path(), 1.0);
+    let told = |cameras: &[Camera]| {
+        let posed = |(view, camera): (&View, &Camera)| View { camera: *camera, ..view.clone() };
+        let views: Vec<View> = views.iter().zip(cameras).map(posed).collect();
+        pose::out_of_place(&mut CpuBackend::new(scene.clone()), &views, &Silent).unwrap()
+    };
+    let truth = many_cameras();
+    assert_eq!(told(&truth), None);
+    // A fifth of a pixel, of 1.4°.
+    assert_eq!(told(&out_of_place(&truth, 0.0, 0.3_f32.to_radians())), None);
+    let pixels = told(&out_of_place(&truth, 0.0, 3_f32.to_radians())).expect("2.1 pixels");
+    assert!(pixels.iter().all(|pixels| (0.7..2.8).contains(pixels)), "{pixels:?}");
 }
 
 #[test]
