@@ -36,8 +36,8 @@ const TEXELS: usize = 60_000;
 const FEW_TEXELS: usize = 20_000;
 /// and where it is only asked whether views are in place.
 const FEWEST_TEXELS: usize = 6_000;
-/// Pixels are not compared that are narrower than this, radians: a tenth of one is less than a texel covers.
-const FINEST: f32 = 2e-3;
+/// Narrower pixels are joined up to this width, radians: a tenth of one is less than a texel covers.
+const FINEST: f32 = 4e-3;
 /// Pixels are not made wider than this, radians: a room is only some dozens of them wide.
 const COARSEST: f32 = 0.1;
 /// Rows and columns of an image that are left at least.
@@ -65,7 +65,7 @@ pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress
 
 /// By how many of its pixels each view should be moved, roughly, to show what the others show of the same surfaces.
 /// `None` where views are in place, as far as can be told at a fraction of what [`refine`] costs: to 0.5 pixels, root
-/// mean square over the views, those narrower than 0.1° taken as so wide.
+/// mean square over the views, where narrow ones are joined up to 0.2°.
 pub fn out_of_place(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Option<Vec<f32>>> {
     let (pictures, points) = (pictures(views, progress)?, some_of(&points(backend)?, FEWEST_TEXELS));
     let refined = refine_pictures(backend, &pictures, &points, FEW_ROUNDS, progress)?;
