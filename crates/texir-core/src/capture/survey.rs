@@ -186,8 +186,13 @@ impl Survey {
         }
         told.extend(self.clipped());
         told.extend(self.noisy());
-        told.extend(self.contradicted());
-        told.extend(self.out_of_place());
+        // A view that shows something else is moved to nowhere, and the others with it.
+        let contradicted = self.contradicted();
+        if contradicted.is_none() {
+            told.extend(self.exposed_differently());
+            told.extend(self.out_of_place());
+        }
+        told.extend(contradicted);
         told
     }
 
@@ -248,21 +253,30 @@ impl Survey {
         ))
     }
 
-    /// Views that show something else than the others; without any, views that show it brighter or darker.
+    /// The views of which it is known how they agree with others.
+    fn known(&self) -> Vec<(&Shown, Agreement)> {
+        self.0.iter().filter_map(|shown| Some((shown, shown.agreement?))).collect()
+    }
+
+    /// Views that show something else than the others.
     fn contradicted(&self) -> Option<String> {
-        let known: Vec<(&Shown, Agreement)> =
-            self.0.iter().filter_map(|shown| Some((shown, shown.agreement?))).collect();
+        let known = self.known();
         let mut spreads: Vec<f32> = known.iter().map(|(_, agreement)| agreement.spread).collect();
         let most = median(&mut spreads).map_or(OFF, |typical| OFF.max(TIMES * typical));
         let off = known.iter().filter(|(_, agreement)| agreement.spread > most);
         let off: Vec<String> = off.map(|(shown, _)| format!("{:?}", shown.name)).collect();
-        if !off.is_empty() {
-            return Some(format!(
+        (!off.is_empty()).then(|| {
+            format!(
                 "views that do not show what the others show of the same places: {}; is it their pose, or their image, or was something moved, \
                  or a lamp switched?",
                 listed(&off)
-            ));
-        }
+            )
+        })
+    }
+
+    /// Views that show the same brighter or darker.
+    fn exposed_differently(&self) -> Option<String> {
+        let known = self.known();
         let differ = exposure::difference(known.iter().map(|(_, agreement)| agreement.exposure));
         let (most, agreement) = known.iter().max_by(|a, b| a.1.brighter().abs().total_cmp(&b.1.brighter().abs()))?;
         (differ > exposure::ALIKE).then(|| {
