@@ -7,6 +7,11 @@ pub(crate) fn median(values: &mut [f32]) -> Option<f32> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
+/// 0 of nothing.
+pub(crate) fn root_mean_square(values: &[f32]) -> f32 {
+    (values.iter().map(|value| value.powi(2)).sum::<f32>() / values.len().max(1) as f32).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

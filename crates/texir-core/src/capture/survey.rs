@@ -12,7 +12,7 @@ use crate::backend::Backend;
 use crate::error::{Result, listed};
 use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, luminance, mean_of_channels, mean_pixel};
-use crate::stats::median;
+use crate::stats::{median, root_mean_square};
 use crate::tbl::exposure::{self, Sighting};
 use crate::tbl::pose;
 
@@ -56,7 +56,7 @@ pub struct Shown {
     pub noise: Option<f32>,
     /// How it agrees with other views of the same places; `None` where too few show enough of them.
     pub agreement: Option<Agreement>,
-    /// By how many of its pixels it should at least be moved to show what the others show; `None` where views are in
+    /// By how many of its pixels it should be moved, roughly, to show what the others show; `None` where views are in
     /// place (see [`pose::out_of_place`]).
     pub out_of_place: Option<f32>,
 }
@@ -244,11 +244,11 @@ impl Survey {
     fn out_of_place(&self) -> Option<String> {
         let off = || self.0.iter().filter_map(|shown| Some((shown, shown.out_of_place?)));
         let (most, pixels) = off().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let mean_square = off().map(|(_, pixels)| pixels.powi(2)).sum::<f32>() / off().count() as f32;
+        let all: Vec<f32> = off().map(|(_, pixels)| pixels).collect();
         Some(format!(
             "the training views are out of place on the mesh, by {:.1} pixels or more (root mean square; {:?} most, by {pixels:.1}): \
              --refine-poses moves them to where they agree, unless it is the mesh that is off, or something was moved",
-            mean_square.sqrt(),
+            root_mean_square(&all),
             most.name
         ))
     }

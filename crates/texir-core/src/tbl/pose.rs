@@ -25,7 +25,7 @@ use crate::error::Result;
 use crate::light_unit::unit;
 use crate::progress::{Progress, Task};
 use crate::raster::{Gray, mean_of_channels};
-use crate::stats::median;
+use crate::stats::{median, root_mean_square};
 use crate::surface::SurfacePoint;
 
 /// Side of the atlas whose texels are compared.
@@ -207,11 +207,6 @@ fn apart(
         Ok(root_mean_square(&angles) / a.pixel_angle())
     };
     before.iter().zip(after).map(of_picture).collect()
-}
-
-/// 0 of nothing.
-fn root_mean_square(values: &[f32]) -> f32 {
-    (values.iter().map(|value| value.powi(2)).sum::<f32>() / values.len().max(1) as f32).sqrt()
 }
 
 /// Pictures beside each other.
