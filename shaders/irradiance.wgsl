@@ -65,7 +65,7 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let back = towards > 0.0;
     let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
-    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && light_density[primitive].front_only != 0u);
+    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && is_black_behind(primitive));
     let beyond = beyond_mesh(environment_towards(direction), cosine);
     return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
 }

@@ -20,8 +20,8 @@ struct BrightPixel {
     cumulative: f32,
 }
 
-@group(0) @binding(11) var<storage, read> bright_rows: array<BrightRow>;
-@group(0) @binding(12) var<storage, read> bright_pixels: array<BrightPixel>;
+@group(0) @binding(9) var<storage, read> bright_rows: array<BrightRow>;
+@group(0) @binding(10) var<storage, read> bright_pixels: array<BrightPixel>;
 
 // What arrives from far away along the unit direction: the nearest pixel at u = ½ + atan2(z, x)/2π, v = acos(y)/π,
 // without its loss of digits at the poles.

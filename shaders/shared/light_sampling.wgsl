@@ -6,16 +6,11 @@
 
 struct LightPrimitive {
     primitive: u32,
+    cluster: u32,
     // Probability, within the cluster, of this triangle and those before it.
     cumulative: f32,
-}
-
-struct LightDensity {
     // Density per square metre of points on the primitive once its cluster is chosen; 0 for what is no light.
     per_area: f32,
-    cluster: u32,
-    // 1 where its back is black, 0 where either side shows the same radiance.
-    front_only: u32,
 }
 
 // Cubic cells of the scene's surface, times six facings.
@@ -27,18 +22,22 @@ struct LightGrid {
     size: vec3u,
     // Clusters, the length of a table; 0 without lights.
     clusters: u32,
+    // Where the tables of cells, and where the clusters' starts, begin in the index.
+    first_cell: u32,
+    first_cluster: u32,
+    // 1 where all backs are black, 0 where only those of lights are.
+    one_sided: u32,
 }
 
-@group(0) @binding(5) var<storage, read> light_triangles: array<LightPrimitive>;
-// Per primitive.
-@group(0) @binding(6) var<storage, read> light_density: array<LightDensity>;
-// The first of each cluster's triangles, and at last their number.
-@group(0) @binding(7) var<storage, read> light_clusters: array<u32>;
+// What is no light, then the lights, cluster by cluster.
+@group(0) @binding(5) var<storage, read> light_primitives: array<LightPrimitive>;
+// Three lists, one after another, as devices bind eight buffers at least: per primitive, which light it is; per cell (x
+// fastest) and facing, six to a cell, the number of its table; per cluster its first light, and at last where the
+// lights end.
+@group(0) @binding(6) var<storage, read> light_index: array<u32>;
 // Tables of a number per cluster: the probability of it and those before it.
-@group(0) @binding(8) var<storage, read> light_tables: array<f32>;
-// Per cell (x fastest) and facing, six to a cell: the number of its table.
-@group(0) @binding(9) var<storage, read> light_cells: array<u32>;
-@group(0) @binding(10) var<uniform> light_grid: LightGrid;
+@group(0) @binding(7) var<storage, read> light_tables: array<f32>;
+@group(0) @binding(8) var<uniform> light_grid: LightGrid;
 
 // A point on a light, and the triangle of the mesh it lies on: rays may meet that in any of its leaves, as another
 // primitive.
@@ -59,7 +58,7 @@ fn light_table(position: vec3f, normal: vec3f) -> u32 {
     if !inside {
         return 0u;
     }
-    return light_cells[index] * light_grid.clusters;
+    return light_index[light_grid.first_cell + index] * light_grid.clusters;
 }
 
 // The first number of u chooses a cluster by the table, what is left of it a triangle of the cluster, and what is left
@@ -77,31 +76,36 @@ fn light_point(table: u32, u: vec2f) -> LightPoint {
     }
     let before_cluster = select(light_tables[table + max(low, 1u) - 1u], 0.0, low == 0u);
     let in_cluster = share_below(u.x, before_cluster, light_tables[table + low]);
-    let first = light_clusters[low];
-    high = light_clusters[low + 1u] - 1u;
+    let first = light_index[light_grid.first_cluster + low];
+    high = light_index[light_grid.first_cluster + low + 1u] - 1u;
     low = first;
     while low < high {
         let middle = (low + high) / 2u;
-        if light_triangles[middle].cumulative <= in_cluster {
+        if light_primitives[middle].cumulative <= in_cluster {
             low = middle + 1u;
         } else {
             high = middle;
         }
     }
-    let before_triangle = select(light_triangles[max(low, 1u) - 1u].cumulative, 0.0, low == first);
-    let root = sqrt(share_below(in_cluster, before_triangle, light_triangles[low].cumulative));
-    let primitive = light_triangles[low].primitive;
+    let before_triangle = select(light_primitives[max(low, 1u) - 1u].cumulative, 0.0, low == first);
+    let root = sqrt(share_below(in_cluster, before_triangle, light_primitives[low].cumulative));
+    let primitive = light_primitives[low].primitive;
     let v0 = triangle_part(primitive, 0u).xyz;
     let e1 = triangle_part(primitive, 1u).xyz;
     let e2 = triangle_part(primitive, 2u).xyz;
     return LightPoint(v0 + e1 * (root * (1.0 - u.y)) + e2 * (root * u.y), mesh_triangle(primitive));
 }
 
+// Whether the back of a primitive is black.
+fn is_black_behind(primitive: u32) -> bool {
+    return light_grid.one_sided != 0u || light_index[primitive] != 0u;
+}
+
 // Density, per solid angle, with which light samples of a table draw a point of `primitive`, `t` metres away and seen
 // under the cosine θ' with its normal: density per area · t² / |cosθ'|. 0 where there are no lights.
 fn light_pdf(table: u32, primitive: u32, t: f32, cosine: f32) -> f32 {
-    let on = light_density[primitive];
-    let at = table + on.cluster;
-    let before = select(light_tables[max(at, 1u) - 1u], 0.0, on.cluster == 0u);
-    return (light_tables[at] - before) * on.per_area * t * t / max(abs(cosine), 1e-6);
+    let light = light_primitives[light_index[primitive]];
+    let at = table + light.cluster;
+    let before = select(light_tables[max(at, 1u) - 1u], 0.0, light.cluster == 0u);
+    return (light_tables[at] - before) * light.per_area * t * t / max(abs(cosine), 1e-6);
 }

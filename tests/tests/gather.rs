@@ -11,7 +11,7 @@ use texir_core::backend::{
 use texir_core::brdf::{fresnel_weight, schlick};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
-use texir_core::lights::{LightDensity, Lights};
+use texir_core::lights::Lights;
 use texir_core::progress::{Progress, Silent};
 use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
@@ -118,7 +118,7 @@ fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
     let mut cpu = CpuBackend::new(scene.clone());
     let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let lights = scenes::lights(&mut cpu, &radiance);
-    assert!(lights.density.iter().skip(strip as usize).all(|d| d.per_area > 0.0), "the strip is no light");
+    assert!((strip..strip + 2).all(|t| lights.of(t).is_some()), "the strip is no light");
     let gathered = [&mut cpu as &mut dyn Backend, &mut gpu].map(|backend| {
         backend.set_tbl(&radiance, &lights).unwrap();
         flat(&backend.irradiance(&points, Gather::new(64, 64, 5), &Silent).unwrap())
@@ -329,7 +329,7 @@ fn misused(backend: &mut dyn Backend) {
     backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
     let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
     assert!(none.contains("samples"), "{none}");
-    let foreign = Lights { density: vec![LightDensity::default(); 3], ..dark };
+    let foreign = Lights { numbers: vec![0; 3], ..dark };
     let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
     assert!(foreign.contains("another mesh"), "{foreign}");
     let clusterless = Lights { clusters: Vec::new(), ..Lights::none(scene.mesh()) };
@@ -413,8 +413,7 @@ fn walls_that_are_there_from_both_sides_take_no_light() {
     let points = points(&single, 400);
     let gathered = |backend: &mut dyn Backend| {
         // Backs are black, as in scenes that somebody made.
-        let mut lights = Lights::none(backend.scene().mesh());
-        lights.density.iter_mut().for_each(|density| density.front_only = true);
+        let lights = Lights { one_sided: true, ..Lights::none(backend.scene().mesh()) };
         backend.set_tbl(&scenes::smooth_light(192), &lights).unwrap();
         flat(&backend.irradiance(&points, Gather::new(128, 0, 5), &Silent).unwrap())
     };

@@ -42,22 +42,19 @@ pub fn required_features() -> wgpu::Features {
 
 /// The limits to request for a device that runs the kernels on as large a scene as the adapter takes: wgpu's defaults,
 /// with those that bound the size of a scene and its textures raised to what the adapter has (the default of 128 MiB
-/// per storage binding is too small for scans), and the number of storage buffers too (gathers that sample the lights
-/// bind ten, the default is eight). A device with wgpu's defaults and ten storage buffers per stage is enough for small
-/// scenes.
+/// per storage binding is too small for scans). A device with wgpu's defaults is enough for small scenes.
 pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
     let best = adapter.limits();
     wgpu::Limits {
         max_buffer_size: best.max_buffer_size,
         max_storage_buffer_binding_size: best.max_storage_buffer_binding_size,
         max_texture_dimension_2d: best.max_texture_dimension_2d,
-        max_storage_buffers_per_shader_stage: best.max_storage_buffers_per_shader_stage,
         ..wgpu::Limits::default()
     }
 }
 
-/// Storage buffers that a kernel binds at most.
-pub(crate) const STORAGE_BUFFERS: u32 = 10;
+/// Storage buffers that a kernel binds at most: as many as wgpu's defaults and WebGPU grant.
+pub(crate) const STORAGE_BUFFERS: u32 = 8;
 /// Threads of a workgroup at most.
 pub(crate) const THREADS: u32 = 256;
 

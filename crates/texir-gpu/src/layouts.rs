@@ -16,7 +16,7 @@ use texir_core::texture::Tap;
 
 use crate::gpu::{STORAGE_BUFFERS, THREADS};
 use crate::pass::denoise::{DenoiseParams, Estimate};
-use crate::pass::device::{LightDensity, Material, MaterialGrad, PunctualLight, ShadePoint, Shaded};
+use crate::pass::device::{Material, MaterialGrad, PunctualLight, ShadePoint, Shaded};
 use crate::pass::group_loss::GroupLossParams;
 use crate::pass::irradiance::IrradianceParams;
 use crate::pass::lookup::LookupParams;
@@ -72,9 +72,12 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
-        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, cumulative })),
-        ("irradiance", "LightDensity", host!(LightDensity { per_area, cluster, front_only })),
-        ("irradiance", "LightGrid", host!(LightGrid { origin, per_metre, size, clusters })),
+        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, cluster, cumulative, per_area })),
+        (
+            "irradiance",
+            "LightGrid",
+            host!(LightGrid { origin, per_metre, size, clusters, first_cell, first_cluster, one_sided }),
+        ),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),
         ("denoise", "Entry", host!(Entry { position, index, normal, cell })),

@@ -1,9 +1,10 @@
 //! The texir kernels in WGSL through wgpu, on a device of their own or on a host program's.
 //!
 //! [`GpuBackend`] implements [`texir_core::backend::Backend`], which is all that the algorithms of `texir-core` need.
-//! [`Gpu::headless`] makes a device; [`Gpu::from_device`] borrows one that an engine owns (made with at least
-//! [`required_limits`]), and then nothing is set on the device, and no dispatch is much longer than a tenth of a
-//! second. The engine's wgpu must be the version that is re-exported here as [`wgpu`].
+//! [`Gpu::headless`] makes a device; [`Gpu::from_device`] borrows one that an engine owns (made with
+//! [`required_limits`], or for small scenes with wgpu's default limits), and then nothing is set on the device, and no
+//! dispatch is much longer than a tenth of a second. The engine's wgpu must be the version that is re-exported here as
+//! [`wgpu`].
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 #[cfg(target_arch = "wasm32")]

@@ -3,13 +3,12 @@
 use bytemuck::{Pod, Zeroable};
 use texir_core::environment::Environment;
 use texir_core::error::{Error, Result};
-use texir_core::lights::Lights;
+use texir_core::lights::{LightTriangle, Lights};
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
 use crate::buffer::{View, keep, uniform};
 use crate::gpu::Gpu;
-use crate::pass::device::{LightDensity, laid_out};
 
 /// Columns of a texture that holds an array.
 pub(crate) const TEXTURE_COLUMNS: u32 = 8192;
@@ -146,7 +145,9 @@ impl Sky {
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct LightPrimitive {
     pub primitive: u32,
+    pub cluster: u32,
     pub cumulative: f32,
+    pub per_area: f32,
 }
 
 /// As `shared/light_sampling.wgsl` has it.
@@ -157,18 +158,19 @@ pub(crate) struct LightGrid {
     pub per_metre: f32,
     pub size: [u32; 3],
     pub clusters: u32,
+    pub first_cell: u32,
+    pub first_cluster: u32,
+    pub one_sided: u32,
+    pub pad: u32,
 }
 
 /// The texture-based lighting and the lights in it.
 pub(crate) struct Lighting {
     /// Outgoing radiance.
     tbl: wgpu::TextureView,
-    light_triangles: View,
-    /// Per primitive of the hierarchy.
-    light_density: View,
-    light_clusters: View,
+    light_primitives: View,
+    light_index: View,
     light_tables: View,
-    light_cells: View,
     light_grid: View,
     /// Clusters of lights; 0 without lights.
     pub clusters: usize,
@@ -182,37 +184,42 @@ impl Lighting {
         for (primitive, &triangle) in order.iter().enumerate() {
             primitive_of[triangle as usize] = primitive as u32;
         }
-        let light_triangles: Vec<LightPrimitive> = (lights.triangles.iter())
-            .map(|l| LightPrimitive { primitive: primitive_of[l.triangle as usize], cumulative: l.cumulative })
-            .collect();
-        let density: Vec<LightDensity> = laid_out(order.iter().map(|&t| &lights.density[t as usize]));
+        // What is no light has number 0, and so the first of them.
+        let mut primitives = vec![LightPrimitive::zeroed()];
+        primitives.extend(lights.triangles.iter().map(|light| {
+            let LightTriangle { triangle, cluster, cumulative, per_area } = *light;
+            LightPrimitive { primitive: primitive_of[triangle as usize], cluster, cumulative, per_area }
+        }));
+        let mut index: Vec<u32> = order.iter().map(|&t| lights.numbers[t as usize]).collect();
+        index.extend(&lights.grid.tables);
+        index.extend(lights.clusters.iter().map(|first| 1 + first));
         let clusters = lights.clusters.len() - 1;
         let grid = LightGrid {
             origin: lights.grid.origin.to_array(),
             per_metre: lights.grid.per_metre,
             size: lights.grid.size,
             clusters: clusters as u32,
+            first_cell: order.len() as u32,
+            first_cluster: (order.len() + lights.grid.tables.len()) as u32,
+            one_sided: u32::from(lights.one_sided),
+            pad: 0,
         };
         Ok(Self {
             tbl: radiance_texture(gpu, "texture-based lighting", radiance)?,
-            light_triangles: keep(gpu, "light triangles", &light_triangles)?,
-            light_density: keep(gpu, "light densities", &density)?,
-            light_clusters: keep(gpu, "light clusters", &lights.clusters)?,
+            light_primitives: keep(gpu, "light primitives", &primitives)?,
+            light_index: keep(gpu, "light index", &index)?,
             light_tables: keep(gpu, "light tables", &lights.tables)?,
-            light_cells: keep(gpu, "light cells", &lights.grid.tables)?,
             light_grid: uniform(gpu, &grid),
             clusters,
         })
     }
 
     /// What passes bind that sample the lights.
-    pub fn lights(&self) -> [(&'static str, wgpu::BindingResource<'_>); 6] {
+    pub fn lights(&self) -> [(&'static str, wgpu::BindingResource<'_>); 4] {
         [
-            ("light_triangles", self.light_triangles.binding()),
-            ("light_density", self.light_density.binding()),
-            ("light_clusters", self.light_clusters.binding()),
+            ("light_primitives", self.light_primitives.binding()),
+            ("light_index", self.light_index.binding()),
             ("light_tables", self.light_tables.binding()),
-            ("light_cells", self.light_cells.binding()),
             ("light_grid", self.light_grid.binding()),
         ]
     }

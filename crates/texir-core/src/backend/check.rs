@@ -46,10 +46,10 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     }
     let triangles = mesh.triangles.len();
     let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
-    if lights.density.len() != triangles || !known {
+    if lights.numbers.len() != triangles || !known {
         return Err(Error::invalid(format!(
-            "the lights are those of another mesh: {} densities, {triangles} triangles",
-            lights.density.len()
+            "the lights are those of another mesh: {} triangles, the backend's has {triangles}",
+            lights.numbers.len()
         )));
     }
     if lights.is_consistent() {

@@ -57,7 +57,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             continue;
         };
         behind += u32::from(hit.back);
-        if hit.back && lights.density[hit.triangle as usize].front_only {
+        if hit.back && lights.is_black_behind(hit.triangle) {
             continue;
         }
         let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_density(mesh, lights, table, &hit, direction);

@@ -18,13 +18,10 @@ pub fn light_point<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], [u, v]:
 /// Density, per solid angle, with which the light samples of `table` draw the direction of a hit: density per area ·
 /// t² / |cosθ'|.
 pub fn light_density<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], hit: &TraceHit<R>, direction: V3<R>) -> R {
-    let on = lights.density[hit.triangle as usize];
-    if on.per_area == 0.0 {
-        return R::of(0.0);
-    }
-    let cluster = on.cluster as usize;
+    let Some(light) = lights.of(hit.triangle) else { return R::of(0.0) };
+    let cluster = light.cluster as usize;
     let before = if cluster > 0 { table[cluster - 1] } else { 0.0 };
-    let per_area = R::of(f64::from((table[cluster] - before) * on.per_area));
+    let per_area = R::of(f64::from((table[cluster] - before) * light.per_area));
     let [a, b, c] = mesh.corners(hit.triangle).map(|p| V3::of(p.to_array()));
     let cosine = (b - a).cross(c - a).normalize().dot(direction).abs();
     per_area * hit.t * hit.t / cosine.max(R::of(1e-6))

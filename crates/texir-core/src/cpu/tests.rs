@@ -312,7 +312,7 @@ fn light_samples_change_the_noise_and_not_the_mean() {
     assert!(rms < 0.7 * plain, "{rms} against {plain} by the cosine alone");
     // Negative control: a density that is not that of the samples is a bias that this test sees.
     let mut wrong = lights;
-    wrong.density.iter_mut().for_each(|light| light.per_area *= 0.8);
+    wrong.triangles.iter_mut().for_each(|light| light.per_area *= 0.8);
     backend.set_tbl(&tbl, &wrong).unwrap();
     let all = backend.irradiance(&atlas.points, Gather::new(32, 32, 2), &Silent).unwrap();
     let biased: Vec<f64> = all.iter().map(|g| f64::from(g.irradiance[0])).collect();

@@ -1,6 +1,6 @@
 //! Which triangles are light sources, told by the HDR texture.
 
-use super::{LightDensity, LightTriangle, Lights, cluster, learn};
+use super::{LightTriangle, Lights, cluster, learn};
 use crate::atlas::Atlas;
 use crate::distribution::{CONTRAST, cumulative};
 use crate::error::{Error, Result};
@@ -39,14 +39,13 @@ impl Lights {
         let shining = (0..mesh.triangles.len() as u32).filter(|&t| power(t) > 0.0 && power(t).is_finite()).collect();
         let mut lights = Self::none(mesh);
         let mut powers = Vec::new();
-        for cluster in cluster::clusters(mesh, shining, &power) {
-            let weights: Vec<f32> = cluster.iter().map(|&t| power(t)).collect();
+        for (cluster, members) in (0..).zip(cluster::clusters(mesh, shining, &power)) {
+            let weights: Vec<f32> = members.iter().map(|&t| power(t)).collect();
             let sum: f32 = weights.iter().sum();
-            for (&triangle, cumulative) in cluster.iter().zip(cumulative(&weights)) {
+            for (&triangle, cumulative) in members.iter().zip(cumulative(&weights)) {
                 let per_area = luminance[triangle as usize] / sum;
-                lights.density[triangle as usize] =
-                    LightDensity { per_area, cluster: powers.len() as u32, front_only: true };
-                lights.triangles.push(LightTriangle { triangle, cumulative });
+                lights.triangles.push(LightTriangle { triangle, cluster, cumulative, per_area });
+                lights.numbers[triangle as usize] = lights.triangles.len() as u32;
             }
             lights.clusters.push(lights.triangles.len() as u32);
             powers.push(sum);
@@ -99,9 +98,7 @@ impl<'a> Finder<'a> {
     /// The lights of surfaces of which nothing is seen from behind: what is no light is black there as well. A sheet
     /// lets no light through, and what its front reflects does not leave its back.
     pub fn one_sided(self) -> Lights {
-        let mut lights = self.find();
-        lights.density.iter_mut().for_each(|density| density.front_only = true);
-        lights
+        Lights { one_sided: true, ..self.find() }
     }
 
     /// See [`Lights::find`].

@@ -10,7 +10,6 @@ mod cluster;
 pub(crate) mod find;
 mod learn;
 
-use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use crate::distribution::invert;
@@ -18,25 +17,16 @@ use crate::mesh::Mesh;
 use crate::real::{Real, V3};
 
 /// A sampled triangle.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightTriangle {
     /// Index in the mesh.
     pub triangle: u32,
+    /// The cluster that it is of.
+    pub cluster: u32,
     /// Probability, within the cluster, of this triangle and those before it.
     pub cumulative: f32,
-}
-
-/// How densely a mesh triangle is sampled.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LightDensity {
-    /// Density, per square metre, of points on the triangle once its cluster is chosen; 0 for what is no light.
+    /// Density, per square metre, of points on the triangle once its cluster is chosen.
     pub per_area: f32,
-    /// The triangle's cluster; 0 for what is no light.
-    pub cluster: u32,
-    /// Whether its back is black, as a light's is, and that of all surfaces of an authored scene; else either side shows
-    /// the same radiance.
-    pub front_only: bool,
 }
 
 /// Which table belongs to which part of the surface: cubic cells times six facings.
@@ -60,8 +50,11 @@ pub struct Lights {
     pub triangles: Vec<LightTriangle>,
     /// The first of each cluster's triangles, and at last their number.
     pub clusters: Vec<u32>,
-    /// Per mesh triangle.
-    pub density: Vec<LightDensity>,
+    /// Per mesh triangle: 1 + its index in `triangles`, 0 for what is no light.
+    pub numbers: Vec<u32>,
+    /// Whether all backs are black, as those of lights always are; else what is no light shows the same radiance on
+    /// either side.
+    pub one_sided: bool,
     /// Where which table holds.
     pub grid: LightGrid,
     /// Tables of a number per cluster: the probability of it and those before it. The first is by power alone.
@@ -72,8 +65,8 @@ impl Lights {
     /// No lights: a gather that samples the cosine alone.
     pub fn none(mesh: &Mesh) -> Self {
         let grid = LightGrid { origin: Vec3::ZERO, per_metre: 0.0, size: [0; 3], tables: Vec::new() };
-        let density = vec![LightDensity::default(); mesh.triangles.len()];
-        Self { triangles: Vec::new(), clusters: vec![0], density, grid, tables: Vec::new() }
+        let numbers = vec![0; mesh.triangles.len()];
+        Self { triangles: Vec::new(), clusters: vec![0], numbers, one_sided: false, grid, tables: Vec::new() }
     }
 
     /// Whether there is nothing to sample.
@@ -91,12 +84,27 @@ impl Lights {
         let whole = if clusters == 0 { self.tables.is_empty() } else { self.tables.len().is_multiple_of(clusters) };
         let tables = self.tables.len().checked_div(clusters).unwrap_or(0);
         let [x, y, z] = self.grid.size.map(|n| n as usize);
+        let numbered = |(number, light): (u32, &LightTriangle)| {
+            self.numbers.get(light.triangle as usize) == Some(&number) && (light.cluster as usize) < clusters
+        };
         ascending
             && whole
             && (clusters == 0 || tables > 0)
-            && self.density.iter().all(|d| d.per_area == 0.0 || (d.cluster as usize) < clusters)
+            && (1..).zip(&self.triangles).all(numbered)
+            && self.numbers.iter().all(|&number| number as usize <= self.triangles.len())
             && self.grid.tables.len() == 6 * x * y * z
             && (clusters == 0 || self.grid.tables.iter().all(|&table| (table as usize) < tables))
+    }
+
+    /// What a mesh triangle is sampled as; `None` for what is no light.
+    pub fn of(&self, triangle: u32) -> Option<&LightTriangle> {
+        let number = self.numbers[triangle as usize] as usize;
+        number.checked_sub(1).map(|index| &self.triangles[index])
+    }
+
+    /// Whether the back of a mesh triangle is black.
+    pub fn is_black_behind(&self, triangle: u32) -> bool {
+        self.one_sided || self.numbers[triangle as usize] > 0
     }
 
     /// The table for light that arrives at a point of the surface with this normal.

@@ -121,7 +121,7 @@ fn a_rectangle_shines_as_its_form_factor_says() {
     let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 64, 8);
     assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by an unwise table");
     // Negative control: a density that is not the draws' own is a bias that this test sees.
-    lights.density.iter_mut().for_each(|d| d.per_area *= 3.0);
+    lights.triangles.iter_mut().for_each(|light| light.per_area *= 3.0);
     backend.set_tbl(&radiance, &lights).unwrap();
     let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 1, 8);
     let wrong = (mean / expected - 1.0).abs();
@@ -153,10 +153,8 @@ fn every_table_is_a_density() {
     assert!(lights.tables.len() > 10 * clusters);
     for table in lights.tables.chunks(clusters) {
         let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
-        let total: f32 = (0..scene.mesh().triangles.len() as u32)
-            .map(|t| (t, lights.density[t as usize]))
-            .filter(|(_, density)| density.per_area > 0.0)
-            .map(|(t, density)| of(density.cluster as usize) * density.per_area * scene.mesh().area(t))
+        let total: f32 = (lights.triangles.iter())
+            .map(|light| of(light.cluster as usize) * light.per_area * scene.mesh().area(light.triangle))
             .sum();
         assert!((total - 1.0).abs() < 1e-5, "{total}");
     }

@@ -2,7 +2,7 @@
 //! there are no booleans. Fields are those of the host's structs of the same names.
 
 use bytemuck::{Pod, Zeroable};
-use texir_core::{backend, lights, punctual};
+use texir_core::{backend, punctual};
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -100,21 +100,6 @@ impl From<&punctual::PunctualLight> for PunctualLight {
             *light;
         let distant = u32::from(distant);
         Self { position, distant, direction, inverse_range, intensity, cone_scale, cone_offset, ..Self::zeroed() }
-    }
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-pub(crate) struct LightDensity {
-    pub per_area: f32,
-    pub cluster: u32,
-    pub front_only: u32,
-}
-
-impl From<&lights::LightDensity> for LightDensity {
-    fn from(density: &lights::LightDensity) -> Self {
-        let lights::LightDensity { per_area, cluster, front_only } = *density;
-        Self { per_area, cluster, front_only: u32::from(front_only) }
     }
 }
 
