@@ -12,7 +12,7 @@ use crate::backend::Backend;
 use crate::error::{Result, listed};
 use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, luminance, mean_of_channels, mean_pixel};
-use crate::stats::{median, root_mean_square};
+use crate::stats::median;
 use crate::tbl::exposure::{self, Sighting};
 use crate::tbl::pose;
 
@@ -56,8 +56,8 @@ pub struct Shown {
     pub noise: Option<f32>,
     /// How it agrees with other views of the same places; `None` where too few show enough of them.
     pub agreement: Option<Agreement>,
-    /// By how many of its pixels it should be moved, roughly, to show what the others show; `None` where views are in
-    /// place (see [`pose::out_of_place`]).
+    /// By how many of its pixels it should be moved, roughly, to show what the others show; `None` where it is
+    /// in place (see [`pose::out_of_place`]).
     pub out_of_place: Option<f32>,
 }
 
@@ -124,9 +124,8 @@ impl Survey {
         }
         drop(task);
         agreements(&mut shown, cells);
-        for (shown, pixels) in shown.iter_mut().zip(pose::out_of_place(backend, views, progress)?.into_iter().flatten())
-        {
-            shown.out_of_place = Some(pixels);
+        for (shown, pixels) in shown.iter_mut().zip(pose::out_of_place(backend, views, progress)?) {
+            shown.out_of_place = pixels;
         }
         Ok(Self(shown))
     }
@@ -244,11 +243,11 @@ impl Survey {
     fn out_of_place(&self) -> Option<String> {
         let off = || self.0.iter().filter_map(|shown| Some((shown, shown.out_of_place?)));
         let (most, pixels) = off().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let all: Vec<f32> = off().map(|(_, pixels)| pixels).collect();
         Some(format!(
-            "the training views are out of place on the mesh, by {:.1} pixels or more (root mean square; {:?} most, by {pixels:.1}): \
-             --refine-poses moves them to where they agree, unless it is the mesh that is off, or something was moved",
-            root_mean_square(&all),
+            "{} of {} training views are out of place on the mesh, {:?} most, by {pixels:.1} pixels: --refine-poses moves them to where \
+             they agree with the others, unless it is the mesh that is off, or something was moved",
+            off().count(),
+            self.0.len(),
             most.name
         ))
     }
@@ -466,8 +465,8 @@ mod tests {
             agreement: None,
         };
         let told = |[a, b, c]: [Option<f32>; 3]| Survey(vec![view("a", a), view("b", b), view("c", c)]).warnings();
-        let warnings = told([Some(1.0), Some(7.0), Some(1.0)]);
-        assert!(warnings.len() == 1 && warnings[0].contains("4.1 pixels"), "{warnings:?}");
+        let warnings = told([Some(1.0), Some(7.0), None]);
+        assert!(warnings.len() == 1 && warnings[0].contains("2 of 3 training views"), "{warnings:?}");
         assert!(warnings[0].contains("\"b\" most, by 7.0"), "{warnings:?}");
         assert_eq!(told([None; 3]), [""; 0]);
     }

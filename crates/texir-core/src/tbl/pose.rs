@@ -6,7 +6,8 @@
 //! compared in the widest pixels that tell of an error, and then in ever smaller ones. The mesh stays where it is:
 //! cameras move against it. A view moves only where that lessens its difference; a view that is brighter than the
 //! others throughout is taken to be exposed so, and what views see differently for other reasons is weighed down
-//! (Cauchy weights).
+//! (Cauchy weights). Where most views turn out to have been in place, as far as can be told, they stay there, and the
+//! others are aligned with them.
 
 mod align;
 
@@ -45,8 +46,11 @@ const FEWEST_ROWS: usize = 16;
 /// Wide pixels count where they move views by this many of them, root mean square: what else differs between views
 /// moves them by less.
 const TELLING: f32 = 0.6;
-/// Views are out of place where they move by this many pixels, root mean square, in the end.
-const OUT_OF_PLACE: f32 = 0.5;
+/// Most views are in place where half of them would move by less than so many pixels, root mean square over what each
+/// sees: those of glossy rooms would move by nearly as much from where they truly are.
+const IN_PLACE: f32 = 0.25;
+/// A view that would move by so many is not, even if most are.
+const OUT_OF_PLACE: f32 = 0.6;
 /// How often all views move against what the others show, in pixels of one width,
 const ROUNDS: usize = 6;
 /// and where it is only asked whether views are in place.
@@ -63,20 +67,17 @@ pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress
     Ok(refined.iter().map(|picture| picture.camera.world_from_camera).collect())
 }
 
-/// By how many of its pixels each view should be moved, roughly, to show what the others show of the same surfaces.
-/// `None` where views are in place, as far as can be told at a fraction of what [`refine`] costs: to 0.5 pixels, root
-/// mean square over the views, where narrow ones are joined up to 0.2°.
-pub fn out_of_place(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Option<Vec<f32>>> {
+/// By how many of its pixels each view should be moved, roughly, to show what the others show of the same surfaces;
+/// `None` for one that is in place, as far as can be told at a fraction of what [`refine`] costs: to 0.6 pixels, where
+/// narrow ones are joined up to 0.2°.
+pub fn out_of_place(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Option<f32>>> {
     let (pictures, points) = (pictures(views, progress)?, some_of(&points(backend)?, FEWEST_TEXELS));
     let refined = refine_pictures(backend, &pictures, &points, FEW_ROUNDS, progress)?;
-    let mut pixels = apart(backend, &points, &pictures, &refined)?;
-    if root_mean_square(&pixels) < OUT_OF_PLACE {
-        return Ok(None);
-    }
-    for ((pixels, picture), view) in pixels.iter_mut().zip(&pictures).zip(views) {
-        *pixels *= picture.camera.pixel_angle() / view.camera.pixel_angle();
-    }
-    Ok(Some(pixels))
+    let moved = apart(backend, &points, &pictures, &refined)?;
+    let told = |((pixels, picture), view): ((f32, &Picture), &View)| {
+        (pixels >= OUT_OF_PLACE).then(|| pixels * picture.camera.pixel_angle() / view.camera.pixel_angle())
+    };
+    Ok(moved.into_iter().zip(&pictures).zip(views).map(told).collect())
 }
 
 /// What a view shows.
@@ -162,7 +163,7 @@ pub(super) fn refine_pictures(
 ) -> Result<Vec<Picture>> {
     let widest = pictures.iter().map(|picture| reduced(&picture.camera, COARSEST).0).max().unwrap_or(1);
     let coarsest = widest.ilog2();
-    let moves = (coarsest as usize + 1) * rounds * pictures.len();
+    let moves = (coarsest as usize + 2) * rounds * pictures.len();
     let _task = Task::start(progress, "camera poses", moves as u64, "views");
     let few = some_of(points, FEW_TEXELS);
     let mut best = Compared::new(backend, &few, pictures.to_vec())?;
@@ -182,9 +183,18 @@ pub(super) fn refine_pictures(
             (best, were_out) = (moved, true);
         }
     }
-    let mut best = Compared::new(backend, points, best.pictures)?;
-    best.rounds(rounds, backend, progress)?;
-    Ok(best.pictures)
+    let mut free = Compared::new(backend, points, best.pictures)?;
+    free.rounds(rounds, backend, progress)?;
+    let moved = apart(backend, points, pictures, &free.pictures)?;
+    if !median(&mut moved.clone()).is_some_and(|pixels| pixels < IN_PLACE) {
+        return Ok(free.pictures);
+    }
+    let held: Vec<bool> = moved.iter().map(|pixels| *pixels < OUT_OF_PLACE).collect();
+    let kept = pictures.iter().zip(free.pictures).zip(&held);
+    let kept = kept.map(|((given, moved), held)| if *held { given.clone() } else { moved }).collect();
+    let mut anchored = Compared { held, ..Compared::new(backend, points, kept)? };
+    anchored.rounds(rounds, backend, progress)?;
+    Ok(anchored.pictures)
 }
 
 /// How many of its pixels lie between where a picture shows what it sees and where it would show that as another that
@@ -217,13 +227,16 @@ struct Compared<'a> {
     exposures: Vec<f32>,
     /// ln L of the points in each picture, but for its exposure.
     shown: Vec<Vec<f32>>,
+    /// Which pictures stay where they are.
+    held: Vec<bool>,
 }
 
 impl<'a> Compared<'a> {
     fn new(backend: &mut dyn Backend, points: &'a [SurfacePoint], pictures: Vec<Picture>) -> Result<Self> {
         let shown = pictures.iter().map(|picture| picture.show(backend, points)).collect::<Result<Vec<_>>>()?;
         let exposures = (0..pictures.len()).map(|view| exposure(&shown, view)).collect();
-        let mut compared = Self { points, pictures, exposures, shown };
+        let held = vec![false; pictures.len()];
+        let mut compared = Self { points, pictures, exposures, shown, held };
         (0..compared.shown.len()).for_each(|view| compared.bring_to_one_exposure(view));
         Ok(compared)
     }
@@ -252,6 +265,10 @@ impl<'a> Compared<'a> {
     fn round(&mut self, backend: &mut dyn Backend, progress: &dyn Progress) -> Result<()> {
         for view in 0..self.pictures.len() {
             progress.check()?;
+            progress.advance(1);
+            if self.held[view] {
+                continue;
+            }
             let Picture { camera, log } = &self.pictures[view];
             let mut predictions = self.predictions(view);
             let mut brighter: Vec<f32> = predictions.iter().filter_map(|p| residual(camera, log, p)).collect();
@@ -260,7 +277,6 @@ impl<'a> Compared<'a> {
             self.pictures[view].camera = align(*camera, log, &predictions);
             self.shown[view] = self.pictures[view].show(backend, self.points)?;
             self.bring_to_one_exposure(view);
-            progress.advance(1);
         }
         Ok(())
     }
