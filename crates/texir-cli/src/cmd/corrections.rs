@@ -13,7 +13,7 @@ use crate::session::Session;
 /// Corrections of the training views.
 #[derive(Debug, Args)]
 pub struct CorrectionArgs {
-    /// Correct small errors of the training views' poses first, until they show the same on the mesh
+    /// Correct errors of the training views' poses first, where they show other things of the mesh than other views do
     #[arg(long)]
     refine_poses: bool,
     /// Bring the training views to one exposure and white balance first, if they differ by 1 % or more
