@@ -53,14 +53,25 @@ impl CorrectionArgs {
                 }
             }
         }
+        let mut moved = 0;
         if self.refine_poses {
             let poses = pose::refine(backend.as_mut(), &views(&training), session.console)?;
             for (view, pose) in training.iter_mut().zip(poses) {
+                if view.camera.world_from_camera == pose {
+                    continue;
+                }
+                moved += 1;
                 let (_, turn, shift) = (view.camera.world_from_camera.inverse() * pose).to_scale_rotation_translation();
                 let degrees = 2.0 * turn.w.abs().min(1.0).acos().to_degrees();
                 let millimetres = 1e3 * shift.length();
                 session.console.note(&format!("{:>24}  moved by {millimetres:.1} mm, {degrees:.2}°", view.name));
                 view.camera.world_from_camera = pose;
+            }
+            let stay = training.len() - moved;
+            if stay > 0 {
+                session
+                    .console
+                    .note(&format!("{stay} views are in place, as far as can be told, and stay as they are"));
             }
         }
         if self.sharpen {
@@ -68,7 +79,7 @@ impl CorrectionArgs {
             let blur = self.blur(measured, session);
             training.iter_mut().for_each(|view| view.blur = blur);
         }
-        if self.refine_poses || training.iter().any(|view| view.scale != [1.0; 3] || view.blur > 0.0) {
+        if moved > 0 || training.iter().any(|view| view.scale != [1.0; 3] || view.blur > 0.0) {
             capture.tbl = None;
         }
         Ok(Some(Corrections::of(capture)))

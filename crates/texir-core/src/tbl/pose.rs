@@ -60,7 +60,8 @@ const MIN_COSINE: f32 = 0.2;
 /// Keeps the logarithm of black finite, where views are about 1 bright.
 const BLACK: f32 = 1e-4;
 
-/// The views' poses (camera to world), refined.
+/// The views' poses (camera to world), refined: where half of the views would move by less than a quarter of a pixel,
+/// only those are other than they were that would by more than 0.6.
 pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Mat4>> {
     let (pictures, points) = (pictures(views, progress)?, points(backend)?);
     let refined = refine_pictures(backend, &pictures, &points, ROUNDS, progress)?;
