@@ -31,9 +31,9 @@ struct LightGrid {
 
 // What is no light, then the lights, cluster by cluster.
 @group(0) @binding(5) var<storage, read> light_primitives: array<LightPrimitive>;
-// Three lists, one after another, as devices bind eight buffers at least: per primitive, which light it is; per cell (x
-// fastest) and facing, six to a cell, the number of its table; per cluster its first light, and at last where the
-// lights end.
+// Three lists, one after another, as a device binds eight buffers unless it is asked for more: per primitive, which
+// light it is; per cell (x fastest) and facing, six to a cell, the number of its table; per cluster its first light,
+// and at last where the lights end.
 @group(0) @binding(6) var<storage, read> light_index: array<u32>;
 // Tables of a number per cluster: the probability of it and those before it.
 @group(0) @binding(7) var<storage, read> light_tables: array<f32>;

@@ -69,9 +69,10 @@ impl CorrectionArgs {
             }
             let stay = training.len() - moved;
             if stay > 0 {
+                let all = training.len();
                 session
                     .console
-                    .note(&format!("{stay} views are in place, as far as can be told, and stay as they are"));
+                    .note(&format!("{stay} of {all} views are in place, as far as can be told, and stay there"));
             }
         }
         if self.sharpen {
