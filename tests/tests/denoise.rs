@@ -4,7 +4,7 @@
 use glam::Vec3;
 use texir_core::backend::Backend;
 use texir_core::cpu;
-use texir_core::denoise::{Halves, Noisy};
+use texir_core::denoise::Noisy;
 use texir_core::progress::Silent;
 use texir_core::rng::hash2;
 use texir_core::scene::Scene;
@@ -39,7 +39,7 @@ fn points() -> Vec<SurfacePoint> {
 }
 
 /// Light with a shadow's edge, noise, and a few samples that are rare and bright.
-fn halves(count: usize) -> Halves {
+fn halves(count: usize) -> [Vec<[f32; 3]>; 2] {
     [1, 2].map(|half| {
         let value = |i: u32| {
             let truth = if i % SIDE < 30 { 0.4 } else { 1.0 + (i / SIDE) as f32 / 40.0 };
@@ -59,7 +59,7 @@ fn empty() -> Scene {
 fn denoising() {
     let points = points();
     let (halves, apart) = (halves(points.len()), (0..points.len()).map(|i| i % 80 > 70).collect::<Vec<_>>());
-    let noisy = Noisy { points: &points, halves: &halves, apart: &apart, texel: TEXEL };
+    let noisy = Noisy { points: &points, halves: [&halves[0], &halves[1]], apart: &apart, texel: TEXEL };
     let mut backend = GpuBackend::new(&gpu(), empty()).unwrap();
     let got = backend.denoise(noisy, &Silent).unwrap();
     let twin =
@@ -75,12 +75,12 @@ fn denoising() {
     // The same bits however it is cut: the second call has measured the device, and a block sees what is around it.
     assert!(got == backend.denoise(noisy, &Silent).unwrap());
     let part: Vec<usize> = (0..points.len()).filter(|i| *i as u32 % SIDE < 50).collect();
-    let pick = |half: &Vec<[f32; 3]>| part.iter().map(|&i| half[i]).collect();
+    let pick = |half: &[[f32; 3]]| part.iter().map(|&i| half[i]).collect::<Vec<_>>();
     let block = backend
         .denoise(
             Noisy {
                 points: &part.iter().map(|&i| points[i]).collect::<Vec<_>>(),
-                halves: &[pick(&halves[0]), pick(&halves[1])],
+                halves: [&pick(&halves[0]), &pick(&halves[1])],
                 apart: &part.iter().map(|&i| apart[i]).collect::<Vec<_>>(),
                 texel: TEXEL,
             },
@@ -98,16 +98,16 @@ fn denoising() {
 #[test]
 fn points_in_any_order_and_by_themselves_pass() {
     let mut backend = GpuBackend::new(&gpu(), empty()).unwrap();
-    let nothing: Halves = [vec![], vec![]];
     assert!(
-        backend.denoise(Noisy { points: &[], halves: &nothing, apart: &[], texel: TEXEL }, &Silent).unwrap().is_empty()
+        backend
+            .denoise(Noisy { points: &[], halves: [&[], &[]], apart: &[], texel: TEXEL }, &Silent)
+            .unwrap()
+            .is_empty()
     );
-    let one: Halves = [vec![[1.0; 3]], vec![[3.0; 3]]];
-    let lonely = Noisy { points: &points()[..1], halves: &one, apart: &[false], texel: TEXEL };
+    let lonely = Noisy { points: &points()[..1], halves: [&[[1.0; 3]], &[[3.0; 3]]], apart: &[false], texel: TEXEL };
     assert_eq!(backend.denoise(lonely, &Silent).unwrap(), [[2.0; 3]]);
     let short = Noisy { points: &points()[..2], ..lonely };
     assert!(backend.denoise(short, &Silent).unwrap_err().to_string().contains("2 points to denoise"));
-    let dark: Halves = [vec![[0.0; 3]; 500], vec![[0.0; 3]; 500]];
-    let dark = Noisy { points: &points()[..500], halves: &dark, apart: &[false; 500], texel: TEXEL };
+    let dark = Noisy { points: &points()[..500], halves: [&[[0.0; 3]; 500]; 2], apart: &[false; 500], texel: TEXEL };
     assert!(backend.denoise(dark, &Silent).unwrap().iter().all(|e| *e == [0.0; 3]));
 }

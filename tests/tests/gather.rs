@@ -306,14 +306,17 @@ fn progress_counts_every_ray_and_cancelling_stops() {
 #[test]
 fn empty_work_gives_empty_results() {
     let scene = room();
-    let mut backend = lit(&gpu(), &scene);
+    let mut cpu = CpuBackend::new(scene.clone());
+    cpu.set_tbl(&scenes::smooth_light(8), &Lights::none(scene.mesh())).unwrap();
     let sampling = Sampling { samples: 16, seed: 1 };
-    assert!(backend.irradiance(&[], Gather::new(16, 4, 1), &Silent).unwrap().is_empty());
-    assert!(backend.shade(&[], &[], sampling, RoughnessGradient::Exact, &Silent).unwrap().is_empty());
-    assert!(backend.shade_vjp(&[], &[], &[], &[]).unwrap().is_empty());
-    assert!(backend.project(&[], &scenes::cameras()[0]).unwrap().is_empty());
-    assert!(backend.radiance_loss(&[], &[]).unwrap().gradient.is_empty());
-    assert!(backend.texels([0, 5], 0..5).unwrap().is_empty());
+    for backend in [&mut cpu as &mut dyn Backend, &mut lit(&gpu(), &scene)] {
+        assert!(backend.irradiance(&[], Gather::new(16, 4, 1), &Silent).unwrap().is_empty());
+        assert!(backend.shade(&[], &[], sampling, RoughnessGradient::Exact, &Silent).unwrap().is_empty());
+        assert!(backend.shade_vjp(&[], &[], &[], &[]).unwrap().is_empty());
+        assert!(backend.project(&[], &scenes::cameras()[0]).unwrap().is_empty());
+        assert!(backend.radiance_loss(&[], &[]).unwrap().gradient.is_empty());
+        assert!(backend.texels([0, 5], 0..5).unwrap().is_empty());
+    }
 }
 
 /// What no backend may do: nothing, or fail without a word.

@@ -1,5 +1,6 @@
 //! Which backend runs the passes.
 
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use texir_core::backend::Backend;
@@ -10,32 +11,51 @@ use texir_gpu::{Gpu, GpuBackend};
 use crate::config::{BackendChoice, Config};
 use crate::console::Console;
 use crate::failure::{Context, Failure};
+use crate::session::Session;
+
+/// The GPU of a session once one was sought, which all its steps share: drivers are asked, and kernels compiled, once.
+pub type FoundGpu = OnceCell<Option<Gpu>>;
 
 /// Opens for a scene the backend that the user asked for, or the best there is.
-pub fn open(scene: Scene, config: &Config, console: &Console) -> Result<Box<dyn Backend>, Failure> {
-    let backend: Box<dyn Backend> = match find_gpu(config, console)? {
-        Some(gpu) => Box::new(GpuBackend::new(&gpu, scene).context("the GPU backend could not be set up")?),
+pub fn open(scene: Scene, session: &Session<'_>) -> Result<Box<dyn Backend>, Failure> {
+    let found = match session.gpu.get() {
+        Some(found) => found.clone(),
+        None => find_gpu(session.config, session.console)?,
+    };
+    let backend: Box<dyn Backend> = match session.gpu.get_or_init(|| found) {
+        Some(gpu) => on(gpu, scene)?,
         None => Box::new(CpuBackend::new(scene)),
     };
-    console.note(&format!("{:>24}  {}", "runs on", backend.name()));
+    session.console.note(&format!("{:>24}  {}", "runs on", backend.name()));
     Ok(backend)
 }
 
+fn on(gpu: &Gpu, scene: impl Into<Arc<Scene>>) -> Result<Box<dyn Backend>, Failure> {
+    Ok(Box::new(GpuBackend::new(gpu, scene).context("the GPU backend could not be set up")?))
+}
+
 /// Opens for a scene every backend that the user lets in, the CPU first: to compare them.
-pub fn open_all(scene: &Arc<Scene>, config: &Config, console: &Console) -> Result<Vec<Box<dyn Backend>>, Failure> {
+pub fn open_all(scene: &Arc<Scene>, session: &Session<'_>) -> Result<Vec<Box<dyn Backend>>, Failure> {
+    let Config { backend, adapter, .. } = session.config;
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
-    if config.backend != BackendChoice::Gpu && config.adapter.is_none() {
+    if *backend != BackendChoice::Gpu && adapter.is_none() {
         backends.push(Box::new(CpuBackend::new(scene.clone())));
     }
-    if config.backend != BackendChoice::Cpu {
-        match Gpu::headless(config.adapter.as_deref()) {
-            Ok(gpu) => backends
-                .push(Box::new(GpuBackend::new(&gpu, scene.clone()).context("the GPU backend could not be set up")?)),
+    if *backend != BackendChoice::Cpu {
+        match headless(adapter.as_deref(), session.console) {
+            Ok(gpu) => backends.push(on(&gpu, scene.clone())?),
             Err(error) if backends.is_empty() => return Err(error.into()),
-            Err(error) => console.note(&error.to_string()),
+            Err(error) => session.console.note(&error.to_string()),
         }
     }
     Ok(backends)
+}
+
+/// [`Gpu::headless`], telling of better adapters that do not serve.
+fn headless(adapter: Option<&str>, console: &Console) -> texir_core::error::Result<Gpu> {
+    let gpu = Gpu::headless(adapter)?;
+    gpu.passed_over().iter().for_each(|why| console.note(why));
+    Ok(gpu)
 }
 
 fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> {
@@ -44,15 +64,14 @@ fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> 
         return Ok(None);
     }
     let adapter = config.adapter.as_deref();
-    match (config.backend, Gpu::headless(adapter)) {
+    match (config.backend, headless(adapter, console)) {
         (BackendChoice::Auto, Ok(gpu)) if gpu.is_cpu() && adapter.is_none() => {
-            console.detail("the only adapter is a processor playing a GPU: the CPU backend traces faster");
+            console.detail("the only adapter that serves is a processor playing a GPU: the CPU backend traces faster");
             Ok(None)
         }
         (_, Ok(gpu)) => Ok(Some(gpu)),
         (BackendChoice::Auto, Err(error)) if adapter.is_none() => {
-            console.detail(&error.to_string());
-            console.note("no GPU adapter was found: the passes run on the CPU, which gives the same results");
+            console.note(&format!("{error}: the passes run on the CPU, which gives the same results"));
             Ok(None)
         }
         (_, Err(error)) if adapter.is_some() => Err(Failure::from(error).help("name one that is there, or leave --adapter out; where there is none, install a Vulkan driver")),

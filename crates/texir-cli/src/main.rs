@@ -19,6 +19,7 @@ use clap::Parser;
 use crate::cmd::Command;
 use crate::config::{Common, Config};
 use crate::console::{Console, Verbosity};
+use crate::device::FoundGpu;
 use crate::failure::Failure;
 use crate::session::Session;
 
@@ -57,7 +58,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         _ => Verbosity::Normal,
     };
     let console = Console::new(verbosity)?;
-    let session = Session { config: &Config::resolve(common)?, console: &console, json: common.json };
+    let (config, gpu) = (Config::resolve(common)?, FoundGpu::new());
+    let session = Session { config: &config, console: &console, gpu: &gpu, json: common.json };
     let result = cmd::run(&cli.command, &session);
     console.clear();
     result

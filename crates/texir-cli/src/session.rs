@@ -5,10 +5,10 @@ use std::path::Path;
 
 use serde::Serialize;
 use texir_core::checkpoint::Checkpoints;
-use texir_core::error::Error;
 
 use crate::config::Config;
 use crate::console::Console;
+use crate::device::FoundGpu;
 use crate::failure::Failure;
 
 /// What every command gets.
@@ -17,6 +17,8 @@ pub struct Session<'a> {
     pub config: &'a Config,
     /// Where progress is shown.
     pub console: &'a Console,
+    /// What runs the passes, once it was sought.
+    pub gpu: &'a FoundGpu,
     /// Results are printed as JSON.
     pub json: bool,
 }
@@ -40,13 +42,11 @@ impl Session<'_> {
 
     /// What becomes of kept steps after an error: it is said where they are when a run was stopped; nothing stays where
     /// none is kept.
-    pub fn goes_on(&self, e: &Error, checkpoints: &Checkpoints, partial: &Path) {
-        match (checkpoints.any(), e) {
-            (false, _) => checkpoints.clone().finish(),
-            (true, Error::Cancelled) => {
-                self.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display()));
-            }
-            (true, _) => {}
+    pub fn goes_on(&self, failure: &Failure, checkpoints: &Checkpoints, partial: &Path) {
+        if !checkpoints.any() {
+            checkpoints.clone().finish();
+        } else if failure.interrupted() {
+            self.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display()));
         }
     }
 }

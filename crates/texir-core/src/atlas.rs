@@ -148,7 +148,7 @@ pub(crate) fn mapped_bands(mesh: &Mesh, [width, height]: [usize; 2]) -> impl Ite
 }
 
 /// Area on the surface, m², of a texel on `triangle` in an atlas of some size; 0 for a triangle without area in it.
-fn texel_area(mesh: &Mesh, [width, height]: [usize; 2], triangle: u32) -> f32 {
+pub(crate) fn texel_area(mesh: &Mesh, [width, height]: [usize; 2], triangle: u32) -> f32 {
     let [ua, ub, uc] = mesh.corner_uvs(triangle);
     let world = cross(mesh.corners(triangle)).length();
     let texels = (ub - ua).perp_dot(uc - ua).abs() * (width * height) as f32;

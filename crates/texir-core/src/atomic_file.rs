@@ -13,6 +13,9 @@ use crate::error::{Error, Result};
 /// What [`write_atomic`] hands to its closure: buffered, seekable.
 pub type Sink<'a> = BufWriter<&'a mut File>;
 
+/// What the names of temporary files and folders begin with.
+const TEMPORARY: &str = ".texir-";
+
 /// Symbolic links that lead from one to the next, at most, as Linux has it.
 const MOST_LINKS: usize = 40;
 
@@ -29,7 +32,7 @@ pub fn write_atomic<E: Display>(
     let folder = folder_of(&target);
     std::fs::create_dir_all(folder).map_err(|e| failed(&e))?;
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".texir-").suffix(".part");
+    builder.prefix(TEMPORARY).suffix(".part");
     // A temporary file is private by default; an output is as readable as the user's umask allows.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -65,7 +68,7 @@ impl Stage {
         let (place, side) = if target.is_dir() { (target.as_path(), "in") } else { (folder_of(target), "beside") };
         let failed = |e| Error::file(target, format!("cannot be written {side}: {e}"));
         std::fs::create_dir_all(place).map_err(failed)?;
-        let hidden = tempfile::Builder::new().prefix(".texir-").tempdir_in(place).map_err(failed)?;
+        let hidden = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(place).map_err(failed)?;
         std::fs::create_dir(hidden.path().join(FILLING)).map_err(failed)?;
         Ok(Self { hidden, target: target.to_owned() })
     }
@@ -103,6 +106,12 @@ impl Stage {
         names.sort_by_key(|name| name == OsStr::new(last));
         names.iter().try_for_each(|name| self.place(name))
     }
+}
+
+/// Whether a file or folder of this name is one on its way. A run that is killed leaves such behind; the name does not
+/// tell whether anybody still writes to it.
+pub(crate) fn is_unfinished(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(TEMPORARY.as_bytes())
 }
 
 /// What symbolic links at `path` lead to in the end; `None` where they lead in circles.
@@ -200,6 +209,20 @@ mod tests {
         std::fs::write(&ordinary, b"x").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&ours), mode(&ordinary));
+    }
+
+    #[test]
+    fn what_is_on_its_way_is_told_by_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let unfinished = || names(folder.path()).iter().filter(|name| is_unfinished(name.as_ref())).count();
+        let stage = Stage::new(folder.path()).unwrap();
+        write_atomic(folder.path().join("out.txt"), |w| {
+            assert_eq!((unfinished(), names(folder.path()).len()), (2, 2));
+            w.write_all(b"x")
+        })
+        .unwrap();
+        drop(stage);
+        assert_eq!((unfinished(), names(folder.path())), (0, vec!["out.txt".to_owned()]));
     }
 
     #[test]

@@ -162,9 +162,7 @@ pub struct ShadePoint {
 impl ShadePoint {
     /// The point that pixel index `pixel` of a view sees, shaded on the camera's side.
     pub fn new(mesh: &Mesh, camera: &Camera, pixel: u32, hit: &Hit, irradiance: [f32; 3]) -> Self {
-        let x = (pixel as usize % camera.width) as f32 + 0.5;
-        let y = (pixel as usize / camera.width) as f32 + 0.5;
-        let to_camera = -camera.direction(x, y);
+        let to_camera = -camera.direction_of(pixel as usize);
         let surface = SurfacePoint::new(mesh, hit, Some(to_camera));
         Self {
             position: surface.position,
@@ -271,7 +269,8 @@ pub struct Loss<T> {
 
 /// The passes, for one scene that the backend keeps. Slices are host memory; item order is kept.
 pub trait Backend {
-    /// The adapter or processor that runs the passes, for logs.
+    /// The adapter or processor that runs the passes: for logs, and to tell apart results that may differ in their
+    /// bits.
     fn name(&self) -> String;
 
     /// The scene that the passes run on.

@@ -34,10 +34,6 @@ use crate::real::{Real, V3};
 /// Normal-incidence reflectance of dielectrics.
 pub const DIELECTRIC_F0: f64 = 0.04;
 
-/// What a dielectric (F0 = 0.04) reflects specularly of uniform light, ∫ F D G / (4 cos_o cos_i) cos_i dω averaged over
-/// cos_o: from 0.04 (rough) to 0.08 (smooth).
-pub const DIELECTRIC_SPECULAR: f32 = 0.06;
-
 /// The cosines of one pair of directions.
 #[derive(Clone, Copy, Debug)]
 pub struct Cosines<R> {

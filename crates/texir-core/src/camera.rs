@@ -50,6 +50,11 @@ impl Camera {
         self.direction_in(x, y).0.into()
     }
 
+    /// [`Camera::direction`] through the centre of a pixel, by its index.
+    pub(crate) fn direction_of(&self, pixel: usize) -> Vec3 {
+        self.direction((pixel % self.width) as f32 + 0.5, (pixel / self.width) as f32 + 0.5)
+    }
+
     /// [`Camera::direction`] in any scalar.
     pub fn direction_in<R: Real>(&self, x: R, y: R) -> V3<R> {
         let local = match self.projection {

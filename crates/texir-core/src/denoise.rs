@@ -51,7 +51,7 @@ pub const RIDGE: f32 = 1e-3;
 
 /// Two estimates of a quantity per point from as many samples each, linear RGB. Their mean is the estimate, half of
 /// their difference its standard error if they are independent, and more than that if they are parts of one sequence.
-pub type Halves = [Vec<[f32; 3]>; 2];
+pub type Halves<'a> = [&'a [[f32; 3]]; 2];
 
 /// What is to be denoised.
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +59,7 @@ pub struct Noisy<'a> {
     /// Where on the surface. Their sequences are to differ: processors take points of different ones at once.
     pub points: &'a [SurfacePoint],
     /// What was found there.
-    pub halves: &'a Halves,
+    pub halves: Halves<'a>,
     /// Points that are not to be mixed with the others (inside other geometry).
     pub apart: &'a [bool],
     /// Edge of a typical texel, metres, above 0.

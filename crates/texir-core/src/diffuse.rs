@@ -37,6 +37,20 @@ impl DiffuseModel {
             Self::Burley => BURLEY.at(nv, r),
         }
     }
+
+    /// What is scattered into all directions together, over that of a Lambertian of the same albedo, at perceptual
+    /// roughness `r`: the mean of [`DiffuseModel::factor`] by the cosine, 2 ∫ factor cosθ d(cosθ).
+    pub fn albedo_factor(self, r: f32) -> f32 {
+        // By the midpoint rule.
+        let term = |i: usize| {
+            let cosine = (i as f32 + 0.5) / SIZE as f32;
+            2.0 * cosine * self.factor(cosine, r) / SIZE as f32
+        };
+        match self {
+            Self::Lambert => 1.0,
+            Self::Burley => (0..SIZE).map(term).sum(),
+        }
+    }
 }
 
 /// Columns (n·v) and rows (r) of the table.
@@ -94,6 +108,23 @@ mod tests {
         assert!(model.factor(0.1, 1.0) > 1.2 && model.factor(0.1, 0.05) < 0.8);
         assert!((model.factor(1.0, 0.5) - 1.0).abs() < 0.05);
         assert_eq!(DiffuseModel::Lambert.factor(0.1, 1.0), 1.0);
+    }
+
+    #[test]
+    fn rough_surfaces_of_burleys_scatter_more_than_lambertians_and_smooth_ones_less() {
+        for r in [0.1, 0.5, 1.0] {
+            // ∫ factor 2c dc by the trapezoidal rule in c.
+            let steps = 1000;
+            let term = |i: usize| {
+                let c = i as f32 / steps as f32;
+                let weight = if i == 0 || i == steps { 0.5 } else { 1.0 };
+                weight * 2.0 * c * DiffuseModel::Burley.factor(c, r) / steps as f32
+            };
+            let (found, expected) = (DiffuseModel::Burley.albedo_factor(r), (0..=steps).map(term).sum::<f32>());
+            assert!((found / expected - 1.0).abs() < 2e-3, "{r}: {found} for {expected}");
+        }
+        assert!(DiffuseModel::Burley.albedo_factor(1.0) > 1.02 && DiffuseModel::Burley.albedo_factor(0.1) < 0.98);
+        assert_eq!(DiffuseModel::Lambert.albedo_factor(0.3), 1.0);
     }
 
     #[test]

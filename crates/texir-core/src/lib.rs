@@ -128,6 +128,7 @@ pub mod rng;
 #[cfg(feature = "files")]
 pub mod rooms;
 pub mod scene;
+pub mod specular_albedo;
 pub mod specular_table;
 mod stats;
 pub mod surface;

@@ -178,14 +178,21 @@ impl FitOutput {
             irradiance: rgb(IRRADIANCE, edited::LIGHT)?,
             emission: rgb(EMISSION, edited::LIGHT)?,
         };
+        let shape = textures.irradiance.size();
+        edited::same_shape(&folder.join(ALBEDO), textures.albedo.size(), shape)?;
+        edited::same_shape(&folder.join(ROUGHNESS), textures.roughness.size(), shape)?;
+        if let Some(metallic) = &textures.metallic {
+            edited::same_shape(&folder.join(METALLIC), metallic.size(), shape)?;
+        }
         let confidence = optional(CONFIDENCE)?;
         let tbl = Tbl::read(folder.join(HDR_TEXTURE), progress)?;
         Ok(Self { mesh: mesh_io::read_mesh(folder.join(MESH))?.mesh, tbl, textures, confidence })
     }
 }
 
-/// Output that appears all at once: files are written to a folder that nobody looks into, and moved to the target when
-/// all are there.
+/// Output that appears when all of it is there: files are written to a folder that nobody looks into, and moved to the
+/// target, at once where that is new. In one that is there, they replace an earlier fit's one by one, while it lacks
+/// the file without which no fit can be read.
 #[derive(Debug)]
 pub struct Staging(Stage);
 
@@ -223,15 +230,16 @@ impl Staging {
         if !self.0.target().exists() {
             return self.0.place_whole();
         }
-        for name in FILES {
+        let is_new = |name: &str| self.folder().join(name).exists();
+        let remove = |name: &str| {
             let old = self.0.target().join(name);
-            if self.folder().join(name).exists() {
-                self.0.place(name)?;
-            } else if old.exists() {
-                fs::remove_file(&old).map_err(|e| Error::cannot_write(&old, e))?;
-            }
+            if old.exists() { fs::remove_file(&old).map_err(|e| Error::cannot_write(&old, e)) } else { Ok(()) }
+        };
+        remove(MATERIALS)?;
+        for name in FILES.into_iter().filter(|name| *name != MATERIALS) {
+            if is_new(name) { self.0.place(name)? } else { remove(name)? }
         }
-        Ok(())
+        if is_new(MATERIALS) { self.0.place(MATERIALS) } else { Ok(()) }
     }
 }
 
@@ -288,6 +296,23 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_that_is_half_replaced_is_none() {
+        let root = tempfile::tempdir().unwrap();
+        for name in [ALBEDO, MATERIALS] {
+            fs::write(root.path().join(name), "old").unwrap();
+        }
+        // A file of the layout that cannot be replaced ends the move in its middle.
+        let staging = Staging::new(root.path()).unwrap();
+        for name in [ALBEDO, ROUGHNESS, MATERIALS] {
+            fs::write(staging.folder().join(name), "new").unwrap();
+        }
+        fs::create_dir(root.path().join(ROUGHNESS)).unwrap();
+        staging.commit().unwrap_err();
+        assert_eq!(fs::read_to_string(root.path().join(ALBEDO)).unwrap(), "new");
+        assert!(!root.path().join(MATERIALS).exists());
+    }
+
+    #[test]
     fn edited_textures_are_checked_when_they_are_read() {
         let folder = tempfile::tempdir().unwrap();
         let [albedo, irradiance, emission] = [0.5, 1.0, 0.0].map(|v| Rgb::filled(4, 4, [v; 3]));
@@ -313,6 +338,16 @@ mod tests {
             let read = read.iter().find(|(of, _)| *of == name).unwrap();
             assert_eq!(read.1.data, [[limited; 3]; 16], "{name}");
             fs::write(&path, whole).unwrap();
+        }
+        // Of another size, but not of another shape.
+        write_rgb(folder.path().join(ALBEDO), &Rgb::filled(8, 8, [0.5; 3])).unwrap();
+        assert_eq!(FitOutput::load(folder.path(), &Silent).unwrap().textures.albedo.width, 8);
+        for name in [ALBEDO, ROUGHNESS] {
+            let whole = fs::read(folder.path().join(name)).unwrap();
+            write_gray(folder.path().join(name), &Gray::filled(4, 3, 0.5)).unwrap();
+            let error = FitOutput::load(folder.path(), &Silent).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains("4×3"), "{error}");
+            fs::write(folder.path().join(name), whole).unwrap();
         }
         write_gray(folder.path().join(ROUGHNESS), &Gray::filled(4, 4, f32::NAN)).unwrap();
         let error = FitOutput::load(folder.path(), &Silent).unwrap_err().to_string();

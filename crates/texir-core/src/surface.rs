@@ -33,6 +33,19 @@ impl Hit {
         self.triangle != Self::NONE
     }
 
+    /// Whether it is on the front of the surface, the side of its texels, seen from a direction towards the eye.
+    pub(crate) fn is_front(&self, mesh: &Mesh, towards: Vec3) -> bool {
+        let (face, _) = self.front(mesh);
+        face.dot(towards) > 0.0
+    }
+
+    /// The unit normals of the front: of the face, on the side of the shading normal, and for shading.
+    fn front(&self, mesh: &Mesh) -> (Vec3, Vec3) {
+        let face = mesh.face_normal(self.triangle);
+        let normal = self.interpolate(mesh.corner_normals(self.triangle)).normalize_or(face);
+        (if face.dot(normal) < 0.0 { -face } else { face }, normal)
+    }
+
     /// Atlas coordinates of the hit.
     pub fn uv(&self, mesh: &Mesh) -> Vec2 {
         self.interpolate(mesh.corner_uvs(self.triangle))
@@ -82,11 +95,7 @@ impl SurfacePoint {
     /// The point of a hit. With `towards` (a unit direction), both normals are flipped to its side, so that a surface
     /// seen from behind is shaded on the side that is seen. Its sequence is 0.
     pub fn new(mesh: &Mesh, hit: &Hit, towards: Option<Vec3>) -> Self {
-        let mut face = mesh.face_normal(hit.triangle);
-        let mut normal = hit.interpolate(mesh.corner_normals(hit.triangle)).normalize_or(face);
-        if face.dot(normal) < 0.0 {
-            face = -face;
-        }
+        let (mut face, mut normal) = hit.front(mesh);
         if towards.is_some_and(|d| face.dot(d) < 0.0) {
             face = -face;
             normal = -normal;

@@ -45,7 +45,9 @@ impl GpuBackend {
         Self::with_hierarchy(gpu, scene, HierarchyStorage::best(gpu))
     }
 
-    /// [`GpuBackend::new`] with a choice that changes speed only.
+    /// [`GpuBackend::new`] with a choice that changes speed only, where the device takes it:
+    /// [`HierarchyStorage::Textures`] is for software drivers, as a GPU may take small numbers read from a texture for
+    /// 0, and rays then go wrong.
     pub fn with_hierarchy(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: HierarchyStorage) -> Result<Self> {
         let scene = scene.into();
         let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;

@@ -14,6 +14,7 @@ pub struct Gpu {
     device: wgpu::Device,
     queue: wgpu::Queue,
     info: Arc<wgpu::AdapterInfo>,
+    passed_over: Arc<[String]>,
     kernels: Arc<Mutex<Kernels>>,
 }
 
@@ -42,14 +43,18 @@ pub fn required_features() -> wgpu::Features {
 
 /// The limits to request for a device that runs the kernels on as large a scene as the adapter takes: wgpu's defaults,
 /// with those that bound the size of a scene and its textures raised to what the adapter has (the default of 128 MiB
-/// per storage binding is too small for scans). A device with wgpu's defaults is enough for small scenes.
+/// per storage binding is too small for scans), and lowered to that where it has less, as small GPUs do of what only
+/// drawing needs. A device with wgpu's defaults is enough for small scenes.
 pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
-    let best = adapter.limits();
+    limits_for(adapter.limits())
+}
+
+fn limits_for(best: wgpu::Limits) -> wgpu::Limits {
     wgpu::Limits {
         max_buffer_size: best.max_buffer_size,
         max_storage_buffer_binding_size: best.max_storage_buffer_binding_size,
         max_texture_dimension_2d: best.max_texture_dimension_2d,
-        ..wgpu::Limits::default()
+        ..wgpu::Limits::default().or_worse_values_from(&best)
     }
 }
 
@@ -85,14 +90,17 @@ impl Gpu {
         }
         adapters.sort_by_key(|a| preference(a.get_info().device_type));
         // The first that serves: an old card beside a new one, or one API of two for the same card, may not.
-        let mut failure = None;
+        let mut failures = Vec::new();
         for chosen in &adapters {
             match Self::on(chosen) {
-                Ok(gpu) => return Ok(gpu),
-                Err(error) => failure = failure.or(Some(error)),
+                Ok(gpu) => {
+                    let passed_over = failures.iter().map(Error::to_string).collect();
+                    return Ok(Self { passed_over, ..gpu });
+                }
+                Err(error) => failures.push(error),
             }
         }
-        Err(failure.unwrap_or_else(|| no_adapter(adapter, &found)))
+        Err(failures.into_iter().next().unwrap_or_else(|| no_adapter(adapter, &found)))
     }
 
     fn on(adapter: &wgpu::Adapter) -> Result<Self> {
@@ -113,7 +121,7 @@ impl Gpu {
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
         match missing(&device.limits()) {
-            None => Ok(Self { device, queue, info, kernels: Arc::default() }),
+            None => Ok(Self { device, queue, info, passed_over: Arc::default(), kernels: Arc::default() }),
             Some(what) => Err(Error::device(format!(
                 "the device of {:?} is too small: {what}; ask for texir_gpu::required_limits when it is made",
                 info.name
@@ -140,6 +148,11 @@ impl Gpu {
     pub fn describe(&self) -> String {
         let info = &self.info;
         format!("{} ({}, {:?})", info.name, [&*info.driver, &*info.driver_info].join(" ").trim(), info.backend)
+    }
+
+    /// Why [`Gpu::headless`] did not take the adapters that it prefers to this one.
+    pub fn passed_over(&self) -> &[String] {
+        &self.passed_over
     }
 
     /// Whether a processor plays the GPU, where other choices are faster.
@@ -237,9 +250,24 @@ fn no_adapter(wanted: Option<&str>, found: &[String]) -> Error {
         Some(name) if !found.is_empty() => {
             Error::device(format!("no graphics adapter is named like {name:?}; there are: {}", found.join(", ")))
         }
-        _ => Error::device(
-            "no graphics adapter found: install a Vulkan driver (without a GPU, mesa's software driver serves: \
-             `apt install mesa-vulkan-drivers`), or choose the CPU backend",
-        ),
+        _ => Error::device("no graphics adapter was found"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn adapters_are_asked_for_no_more_than_they_have_nor_for_less_than_large_scenes_need() {
+        // A small GPU, short of what only drawing needs; a large one.
+        let small = wgpu::Limits { max_color_attachments: 4, max_texture_dimension_2d: 4096, ..Default::default() };
+        assert_eq!(limits_for(small.clone()), small);
+        let large = wgpu::Limits { max_buffer_size: 1 << 40, max_storage_buffer_binding_size: 1 << 40, ..small };
+        assert_eq!(limits_for(large.clone()).max_storage_buffer_binding_size, 1 << 40);
+        // One that the kernels do not run on is given as it is, and refused by name.
+        let poor = wgpu::Limits { max_storage_buffers_per_shader_stage: 4, ..Default::default() };
+        let what = missing(&limits_for(poor)).unwrap();
+        assert!(what.contains("max_storage_buffers_per_shader_stage is 4; expected 8"), "{what}");
     }
 }

@@ -16,44 +16,8 @@ use crate::scene::HierarchyStorage;
 #[derive(Clone, Copy)]
 pub struct Library<'a>(pub &'a [(&'a str, &'a str)]);
 
-macro_rules! sources {
-    ($($name:literal),* $(,)?) => {
-        &[$(($name, include_str!(concat!("../../../shaders/", $name, ".wgsl")))),*]
-    };
-}
-
 /// The sources that the crate was built with.
-pub const SHADERS: Library<'static> = Library(sources![
-    "denoise",
-    "group_loss",
-    "irradiance",
-    "lookup",
-    "mip",
-    "primary",
-    "project",
-    "punctual",
-    "radiance_loss",
-    "shade",
-    "shade_vjp",
-    "specular_table",
-    "texels",
-    "shared/brdf",
-    "shared/bvh",
-    "shared/camera",
-    "shared/environment",
-    "shared/fetch_buffer",
-    "shared/fetch_texture",
-    "shared/hit",
-    "shared/light_sampling",
-    "shared/lobe",
-    "shared/math",
-    "shared/rng",
-    "shared/roughness_authors",
-    "shared/roughness_exact",
-    "shared/sampling",
-    "shared/scene",
-    "shared/shading",
-]);
+pub const SHADERS: Library<'static> = Library(texir_shaders::SOURCES);
 
 /// Which modules stand behind the stand-in names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -107,7 +107,7 @@ impl Ablate {
             return Err(Failure::new(format!("{} has no training view", capture.root.display())));
         };
         let (albedo, roughness) = (view.load_albedo()?, view.load_roughness()?);
-        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session)?;
         let mut variants = Vec::new();
         for (variant, outcome) in VARIANTS.iter().zip(outcomes) {
             let output = FitOutput::load(&self.output.join(variant.name), session.console)?;

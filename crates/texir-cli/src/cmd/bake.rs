@@ -144,7 +144,7 @@ impl Bake {
             .help("leave it out: a texel holds the same without it; or bake the .glb of the fit"));
         }
         let (scene, given) = self.load(session)?;
-        let mut backend = device::open(scene, session.config, session.console)?;
+        let mut backend = device::open(scene, session)?;
         let scene = backend.scene().clone();
         let radiance = match given {
             Light::Texture(radiance) => radiance,
@@ -161,32 +161,60 @@ impl Bake {
         backend.set_tbl(&radiance, &lights)?;
         let identity = bake::identity(scene.mesh(), &radiance, (backend.name(), width, height, quality));
         drop(radiance);
+        let texels = self.map(backend.as_mut(), size, workspace, session).inspect_err(|_| self.clean_up())?;
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
-        let texels = Texels::map(backend.as_mut(), size, workspace, session.console)?;
-        self.warn_of_crowding(backend.as_mut(), size, session)?;
-        let solution = bake::solve(backend.as_mut(), &texels, &quality, &checkpoints, session.console)
-            .inspect_err(|e| session.goes_on(e, &checkpoints, &self.partial()))?;
-        self.write(&solution, &texels, session)?;
-        let (buried, valid, rays) = (solution.buried()?, texels.valid(), solution.rays);
-        drop((solution, texels));
+        let summary = self
+            .bake(backend.as_mut(), texels, &quality, &checkpoints, session)
+            .inspect_err(|failure| session.goes_on(failure, &checkpoints, &self.partial()))?;
         checkpoints.finish();
-        let summary = Summary { output: self.output.clone(), width, height, texels: valid, buried, rays };
+        let Summary { texels: valid, rays, .. } = summary;
         session.print(&summary, || {
             let mean = rays as f64 / valid as f64;
             format!("{}: {width} × {height}, {valid} texels, {mean:.0} rays each", summary.output.display())
         })
     }
 
-    /// Warns where charts lie too close together in the map.
-    fn warn_of_crowding(
+    /// The texels of the map, with a warning where charts lie too close together in it.
+    fn map(
         &self,
         backend: &mut dyn Backend,
         size: [usize; 2],
+        workspace: Workspace,
         session: &Session<'_>,
-    ) -> Result<(), Failure> {
+    ) -> Result<Texels<'static>, Failure> {
+        let texels = Texels::map(backend, size, workspace, session.console)?;
         let crowded = atlas::crowded(backend, size)?;
         crowded.iter().for_each(|what| session.console.warn(&format!("{}: {what}", self.input.display())));
-        Ok(())
+        Ok(texels)
+    }
+
+    /// Where a bake ends before any step was kept: the folder of the steps, if it is there for files without a name, is
+    /// empty.
+    fn clean_up(&self) {
+        // It may well not be there.
+        let _ = std::fs::remove_dir(self.partial());
+    }
+
+    /// Bakes the light that the backend has, and writes the map.
+    fn bake(
+        &self,
+        backend: &mut dyn Backend,
+        texels: Texels<'_>,
+        quality: &Quality,
+        checkpoints: &Checkpoints,
+        session: &Session<'_>,
+    ) -> Result<Summary, Failure> {
+        let solution = bake::solve(backend, &texels, quality, checkpoints, session.console)?;
+        self.write(&solution, &texels, session)?;
+        let [width, height] = texels.size();
+        Ok(Summary {
+            output: self.output.clone(),
+            width,
+            height,
+            texels: texels.valid(),
+            buried: solution.buried()?,
+            rays: solution.rays,
+        })
     }
 
     /// Errors where the map, or what `--stderr` writes, would replace what it is made of.

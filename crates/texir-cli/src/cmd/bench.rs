@@ -100,7 +100,7 @@ impl Bench {
             let scene = Arc::new(Scene::new(mesh)?);
             let build_seconds = start.elapsed().as_secs_f64();
             let hierarchy = scene.nodes().len() + size_of_val(scene.primitives());
-            let mut backends = device::open_all(&scene, session.config, session.console)?;
+            let mut backends = device::open_all(&scene, session)?;
             for backend in &mut backends {
                 backend.set_tbl(&flat.albedo, &Lights::none(scene.mesh()))?;
             }

@@ -33,7 +33,7 @@ impl CorrectionArgs {
         if !self.solve_exposure && !self.refine_poses && !self.sharpen {
             return Ok(None);
         }
-        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session)?;
         let mut training: Vec<&mut View> = capture.views.iter_mut().filter(|v| v.split == Split::Train).collect();
         let views = |training: &[&mut View]| -> Vec<View> { training.iter().map(|v| (**v).clone()).collect() };
         if self.solve_exposure {

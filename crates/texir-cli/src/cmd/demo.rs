@@ -72,7 +72,14 @@ fn seed(session: &Session<'_>) -> u64 {
 
 /// Errors where something is in the place of the capture that no demo has made: it would be lost.
 fn check_replaceable(folder: &Path) -> Result<(), Failure> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        Err(e) => {
+            return Err(Failure::new(format!("{}: this is no folder that can be read: {e}", folder.display()))
+                .help("give another --output, or move it elsewhere: a folder of that name is made"));
+        }
+    };
     let names: Vec<_> = entries.flatten().map(|entry| entry.file_name()).collect();
     let other = names.iter().find(|name| *name != RECIPE && !demo::FILES.iter().any(|file| *name == file));
     let missing = demo::FILES.iter().find(|file| !names.iter().any(|name| name == *file));
@@ -90,6 +97,13 @@ impl Demo {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (folder, out) = (self.output.join(CAPTURE), self.output.join(FIT));
         session.config.check_set()?;
+        if self.views < self.rooms {
+            return Err(Failure::new(format!(
+                "--views is {}; expected one for each of {} rooms at least",
+                self.views, self.rooms
+            ))
+            .help("give more --views: a fit needs to see every room"));
+        }
         check_replaceable(&folder)?;
         let of_flat = self.of_flat(session);
         let flat = Flat::generate(&of_flat)?;
@@ -169,6 +183,9 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let folder = root.path().join(CAPTURE);
         assert!(check_replaceable(&folder).is_ok());
+        std::fs::write(&folder, "mine").unwrap();
+        assert!(check_replaceable(&folder).is_err(), "a file");
+        std::fs::remove_file(&folder).unwrap();
         std::fs::create_dir_all(&folder).unwrap();
         assert!(check_replaceable(&folder).is_ok());
         let refused = || check_replaceable(&folder).unwrap_err().to_string();

@@ -9,7 +9,7 @@ use texir_core::eval::{Evaluated, Evaluation, evaluate};
 use texir_core::mesh::Mesh;
 use texir_core::mesh_io::read_mesh;
 use texir_core::outputs::{CORRECTIONS, FitOutput, MESH, METRICS, REPORT, RUN, Run};
-use texir_core::progress::Progress;
+use texir_core::progress::{Progress, Silent};
 use texir_core::render::Renderer;
 use texir_core::scene::Scene;
 use texir_core::text_file::read_text;
@@ -83,7 +83,7 @@ pub fn of_output(
     session: &Session<'_>,
     show: &mut dyn FnMut(&Evaluated<'_>),
 ) -> Result<Evaluation, Failure> {
-    let mut backend = device::open(Scene::new(output.mesh.clone())?, session.config, session.console)?;
+    let mut backend = device::open(Scene::new(output.mesh.clone())?, session)?;
     let radiance = &output.tbl.radiance;
     let mut renderer = Renderer::new(backend.as_mut(), radiance, rays, session.config.fit.seed)?;
     warn_of_rays(&renderer, rays, session);
@@ -110,11 +110,26 @@ pub fn load_capture(out: &Path, given: Option<&Path>, session: &Session<'_>) -> 
     let options = LoadOptions { mesh: Some(out.join(MESH)), ..LoadOptions::default() };
     let mut capture = capture::load(&folder, &options, session.console)
         .context(format!("the capture {} could not be read", folder.display()))?;
+    if given.is_some() {
+        warn_of_another(&folder, &capture.mesh, session);
+    }
     let path = out.join(CORRECTIONS);
     Corrections::read(&path)?
         .apply(&mut capture, session.console)
         .context(format!("{} cannot be applied", path.display()))?;
     Ok(capture)
+}
+
+/// Warns where the folder has a mesh of its own that was not fitted: another capture's figures would say nothing.
+fn warn_of_another(folder: &Path, fitted: &Mesh, session: &Session<'_>) {
+    // One without a mesh is judged by the fit's alone.
+    let Ok(own) = capture::load(folder, &LoadOptions::default(), &Silent) else { return };
+    if let Some(difference) = own.mesh.atlas_difference(fitted) {
+        session.console.warn(&format!(
+            "{}: its mesh is not the one that was fitted ({difference}): expected the capture of this fit",
+            folder.display()
+        ));
+    }
 }
 
 /// How the fit in `out` came about.

@@ -122,7 +122,7 @@ pub fn evaluate(
 /// Fits a capture and puts the result where `staging` leads.
 pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Result<FitOutput, Failure> {
     session.console.note(&format!("{:>24}  {}", "capture", describe(capture)));
-    let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
+    let mut backend = device::open(Scene::new(capture.mesh.clone())?, session)?;
     let mut log: Vec<EpochLog> = Vec::new();
     let fitting = &session.config.fit;
     let partial = staging.partial();
@@ -130,7 +130,8 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
         Checkpoints::open(&partial, &fit::identity(capture, fitting, backend.as_ref())?, session.console)?;
     let FitResult { textures, confidence, tbl, plan, timings } =
         fit::fit(backend.as_mut(), capture, fitting, &checkpoints, session.console, &mut |epoch| log.push(*epoch))
-            .inspect_err(|e| session.goes_on(e, &checkpoints, &partial))?;
+            .map_err(Failure::from)
+            .inspect_err(|failure| session.goes_on(failure, &checkpoints, &partial))?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),

@@ -61,7 +61,7 @@ impl Render {
         let images = views.iter().flat_map(View::files).map(|(_, path)| path.to_owned());
         check_folder(&self.output, &images.chain([self.cameras.clone(), self.out.join(SCENE)]).collect::<Vec<_>>())?;
         let output = FitOutput::load(&self.out, session.console)?;
-        let mut backend = device::open(Scene::new(output.mesh)?, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(output.mesh)?, session)?;
         let radiance = &output.tbl.radiance;
         let mut renderer = Renderer::new(backend.as_mut(), radiance, self.spp, session.config.fit.seed)?;
         eval::warn_of_rays(&renderer, self.spp, session);

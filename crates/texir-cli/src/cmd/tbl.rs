@@ -53,9 +53,9 @@ impl Tbl {
         let mut capture = self.capture.load(session)?;
         // The one that the folder has is not looked at, and may be made anew.
         capture.tbl = None;
-        check_outputs(&[&self.output], &capture.files())?;
+        check_outputs(&[&self.output, &capture::Tbl::mask_path(&self.output)], &capture.files())?;
         self.corrections.apply(&mut capture, session)?;
-        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session.config, session.console)?;
+        let mut backend = device::open(Scene::new(capture.mesh.clone())?, session)?;
         let texture = build(backend.as_mut(), &capture, self.size, session)?;
         texture.write(&self.output)?;
         let count = |coverage| texture.coverage.data.iter().filter(|c| **c == coverage).count();

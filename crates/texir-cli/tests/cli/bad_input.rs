@@ -256,6 +256,12 @@ fn outputs_that_would_replace_what_they_are_made_of() {
     for command in [&[o("tbl"), input][..], &[o("hdr"), hdr, hdr, o("--times"), o("1,2")]] {
         keeps(&image, &[command, &[o("-o"), picture.as_os_str()]].concat(), &["picture.png", "ends in .exr"]);
     }
+    let mask = capture.file("light_mask.png");
+    write_png_labels(&mask, &Labels::new(WIDTH, HEIGHT, vec![255; WIDTH * HEIGHT]).unwrap()).unwrap();
+    capture.edit(|document| document["frames"][0]["mask_path"] = "light_mask.png".into());
+    let light = capture.file("light.exr");
+    let beside = ["light_mask.png", "would replace what it is made of"];
+    keeps(&mask, &[o("tbl"), input, o("-o"), light.as_os_str(), o("--size"), o("16")], &beside);
     let inside = ["in it, which the output is made of", "another folder"];
     keeps(&image, &[o("inspect"), input, o("--overlay"), folder], &inside);
     let fitting = fit(&capture.path(), &capture.path(), &["--backend", "cpu", "--no-eval"]);

@@ -19,7 +19,7 @@ use super::texture::{Colour, Footprint, Images, Texture, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
-use crate::brdf::DIELECTRIC_SPECULAR;
+use crate::brdf::Masking;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
 use crate::glb::check_length;
@@ -29,6 +29,7 @@ use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
+use crate::specular_albedo::specular_albedo;
 use crate::surface::{SurfacePoint, TexelHit};
 
 /// Cells per texel and axis over which materials are looked up: a texel may show several triangles.
@@ -79,8 +80,7 @@ impl Part {
 pub enum Reflected {
     /// Base colour alone: surfaces are Lambertian.
     Diffusely,
-    /// What dielectrics reflect specularly as well, as if they sent it everywhere: [`DIELECTRIC_SPECULAR`] of uniform
-    /// light.
+    /// What dielectrics reflect specularly as well, as if they sent it everywhere: their [`specular_albedo`].
     InAll,
 }
 
@@ -90,8 +90,8 @@ struct Shading {
     name: String,
     albedo: Colour,
     emission: Colour,
-    /// How much of a metal it is (blue), where that matters.
-    metal: Option<Colour>,
+    /// How rough (green) and how much of a metal (blue) it is, where that matters.
+    finish: Option<Colour>,
     double_sided: bool,
 }
 
@@ -226,8 +226,8 @@ impl Model {
     fn without_coordinates(&self) -> Vec<String> {
         let mut lacking = BTreeMap::<usize, usize>::new();
         for part in &self.parts {
-            let Shading { albedo, emission, metal, .. } = &self.shading[self.shading_of(part)];
-            let used = [albedo, emission].into_iter().chain(metal);
+            let Shading { albedo, emission, finish, .. } = &self.shading[self.shading_of(part)];
+            let used = [albedo, emission].into_iter().chain(finish);
             let sets: BTreeSet<usize> = used.filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
             let missing = sets.into_iter().filter(|set| part.has_uvs.get(*set) != Some(&true));
             missing.for_each(|set| *lacking.entry(set).or_default() += 1);
@@ -308,8 +308,11 @@ impl Model {
         let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
         let of_set = |set: usize| self.parts[part].uvs.get(set).map(|uvs| corners.map(|i| uvs[i]));
         let of = |colour: &Colour| colour.over(&footprint, of_set, &self.images);
-        let Shading { albedo, emission, metal, .. } = &self.shading[shading];
-        let specular = metal.as_ref().map_or(0.0, |metal| DIELECTRIC_SPECULAR * (1.0 - of(metal).z));
+        let Shading { albedo, emission, finish, .. } = &self.shading[shading];
+        let specular = finish.as_ref().map_or(0.0, |finish| {
+            let Vec3 { y: roughness, z: metallic, .. } = of(finish);
+            specular_albedo(Masking::Smith, roughness) * (1.0 - metallic)
+        });
         [(of(albedo) + specular).clamp(Vec3::ZERO, Vec3::ONE), of(emission)]
     }
 }
@@ -331,7 +334,8 @@ impl Part {
         let normals: Vec<Option<Vec3>> = normals.iter().map(|n| n.and_then(Vec3::try_normalize)).collect();
         let has_uvs = uvs.iter().map(|uvs| uvs.iter().all(Option::is_some)).collect();
         let uvs = uvs.into_iter().map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect()).collect();
-        let name = node.name().map_or(format!("node {}", node.index()), str::to_owned);
+        let named = node.name().or_else(|| node.mesh().and_then(|mesh| mesh.name()));
+        let name = named.map_or(format!("node {}", node.index()), str::to_owned);
         let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name };
         Ok(part.with_normals(&normals))
     }
@@ -370,7 +374,7 @@ fn shading(
         let [r, g, b, _] = base.base_color_factor();
         let name = material.name().map(|name| format!("\"{name}\""));
         let name = name.or_else(|| Some(format!("material {}", material.index()?))).unwrap_or_default();
-        let metallic = Vec3::splat(base.metallic_factor());
+        let finish = Vec3::new(0.0, base.roughness_factor(), base.metallic_factor());
         let strength = material.emissive_strength().unwrap_or(1.0);
         let emitted = Vec3::from(material.emissive_factor()) * strength;
         let reflects = [r, g, b].iter().all(|v| (0.0..=1.0 + ROUNDED).contains(v));
@@ -387,8 +391,8 @@ fn shading(
             name,
             albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
             emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
-            metal: match reflected {
-                Reflected::InAll => Some(colour(metallic, base.metallic_roughness_texture(), TransferCurve::Linear)?),
+            finish: match reflected {
+                Reflected::InAll => Some(colour(finish, base.metallic_roughness_texture(), TransferCurve::Linear)?),
                 Reflected::Diffusely => None,
             },
             double_sided: material.double_sided(),
@@ -398,7 +402,7 @@ fn shading(
     let [black, white] = [Vec3::ZERO, Vec3::ONE].map(|factor| Colour { factor, texture: None });
     let name = "glTF's default (of primitives without a material)".to_owned();
     // A metal, and so white as it is.
-    all.push(Shading { name, albedo: white, emission: black, metal: None, double_sided: false });
+    all.push(Shading { name, albedo: white, emission: black, finish: None, double_sided: false });
     Ok(all)
 }
 

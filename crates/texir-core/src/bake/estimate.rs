@@ -21,6 +21,7 @@ use crate::neighbours::{NEAR, Neighbours};
 use crate::progress::{Progress, Task};
 use crate::raster::luminance;
 use crate::rng::hash;
+use crate::surface::SurfacePoint;
 
 /// Samples per half and technique in the first round: few enough to be cheap, and with those of the neighbours enough
 /// to tell what the error is.
@@ -115,14 +116,10 @@ impl Estimate {
         let mut errors = surface.texels.zeroed()?;
         surface.each("errors", progress, |_, block, points| {
             let known = self.known(&block.items)?;
-            let neighbours = Neighbours::<NEAR>::new(points, RADIUS * surface.texel);
             let own = |i: usize| block.owns(&points[i]);
-            let error = |i| known.relative_error(i, &neighbours, RADIUS * surface.texel).unwrap_or(known.difference(i));
-            let found: Vec<f32> = (0..points.len())
-                .into_par_iter()
-                .filter(|&i| own(i))
-                .map(|i| error(i) * known.luminance(i).max(known.floor))
-                .collect();
+            let relative = known.relative_errors(surface, points);
+            let error = |i: usize| relative[i].unwrap_or(known.difference(i)) * known.luminance(i).max(known.floor);
+            let found: Vec<f32> = (0..points.len()).filter(|&i| own(i)).map(error).collect();
             errors.set(&block.items.filter(own), &found)
         })?;
         Ok(errors)
@@ -134,14 +131,10 @@ impl Estimate {
         let mut above = surface.texels.zeroed::<u8>()?;
         surface.each("errors", progress, |_, block, points| {
             let known = self.known(&block.items)?;
-            let neighbours = Neighbours::<NEAR>::new(points, RADIUS * surface.texel);
-            let open = |i: usize| {
-                let error = || known.relative_error(i, &neighbours, RADIUS * surface.texel);
-                known.rays[i] == most && error().is_none_or(|error| error > target)
-            };
+            let errors = known.relative_errors(surface, points);
+            let open = |i: usize| known.rays[i] == most && errors[i].is_none_or(|error| error > target);
             let own = |i: usize| block.owns(&points[i]);
-            let found: Vec<u8> =
-                (0..points.len()).into_par_iter().filter(|&i| own(i)).map(|i| u8::from(open(i))).collect();
+            let found: Vec<u8> = (0..points.len()).filter(|&i| own(i)).map(|i| u8::from(open(i))).collect();
             above.set(&block.items.filter(own), &found)
         })?;
         let mut list = surface.texels.workspace.empty()?;
@@ -183,17 +176,28 @@ impl EstimateAt<'_> {
         (Vec3::from(self.halves[0][i].irradiance) + Vec3::from(self.halves[1][i].irradiance)) / 2.0
     }
 
-    /// Standard error of a point's luminance as a share of it, from its neighbours within `radius` metres alone; `None`
-    /// where there are none. The variance is taken to fall with the number of rays.
-    fn relative_error(&self, i: usize, neighbours: &Neighbours<NEAR>, radius: f32) -> Option<f32> {
-        let (mut sum, mut count) = (0.0, 0.0);
-        neighbours.each(i, radius, |j, _| {
-            if j != i {
-                sum += self.difference(j).powi(2) * self.rays[j] as f32;
-                count += 1.0;
-            }
-        });
-        (count > 0.0).then(|| f32::sqrt(sum / (count * self.rays[i] as f32)))
+    /// Standard error of every point's luminance as a share of it, from its neighbours alone; `None` where there are
+    /// none. The variance is taken to fall with the number of rays.
+    fn relative_errors(&self, surface: &Surface<'_>, points: &[SurfacePoint]) -> Vec<Option<f32>> {
+        // Of one ray.
+        let variances: Vec<f32> = (0..points.len()).map(|i| self.difference(i).powi(2) * self.rays[i] as f32).collect();
+        let mut errors = vec![None; points.len()];
+        for alike in surface.alike(points) {
+            let (variances, rays, radius) = (alike.of(&variances), alike.of(&self.rays), RADIUS * alike.texel);
+            let neighbours = Neighbours::<NEAR>::new(&alike.of(points), radius);
+            let error = |i: usize| {
+                let (mut sum, mut count) = (0.0, 0.0);
+                neighbours.each(i, radius, |j, _| {
+                    if j != i {
+                        sum += variances[j];
+                        count += 1.0;
+                    }
+                });
+                (count > 0.0).then(|| f32::sqrt(sum / (count * rays[i] as f32)))
+            };
+            alike.put((0..rays.len()).into_par_iter().map(error).collect(), &mut errors);
+        }
+        errors
     }
 
     /// Half of the difference of both halves as a share of their mean: the standard error, if only on average.

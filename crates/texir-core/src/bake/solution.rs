@@ -192,9 +192,9 @@ impl Solution {
         checkpoints: &Checkpoints,
         progress: &dyn Progress,
     ) -> Result<()> {
-        let (texel, kept) = (surface.texel, surface.kept(checkpoints));
+        let kept = surface.kept(checkpoints);
         // Texels without a size are beside nothing.
-        if !(texel > 0.0) {
+        if !(surface.texel > 0.0) {
             return Ok(());
         }
         surface.each("denoising", progress, |k, block, points| {
@@ -206,9 +206,15 @@ impl Solution {
                 let half = |half: &Store<Gathered>| -> Result<Vec<[f32; 3]>> {
                     Ok(half.get(&block.items)?.iter().map(|g| g.irradiance).collect())
                 };
-                let noisy = Noisy { points, halves: &[half(a)?, half(b)?], apart: &buried, texel };
-                let clean = backend.denoise(noisy, progress)?.into_iter().enumerate();
-                Ok(clean.filter(|(i, _)| own(*i)).map(|(_, clean)| clean).collect())
+                let halves = [half(a)?, half(b)?];
+                let mut clean = vec![[0.0; 3]; points.len()];
+                for alike in surface.alike(points) {
+                    let [a, b] = halves.each_ref().map(|half| alike.of(half));
+                    let (points, apart) = (&alike.of(points), &alike.of(&buried));
+                    let noisy = Noisy { points, halves: [&a, &b], apart, texel: alike.texel };
+                    alike.put(backend.denoise(noisy, progress)?, &mut clean);
+                }
+                Ok(clean.into_iter().enumerate().filter(|(i, _)| own(*i)).map(|(_, clean)| clean).collect())
             })?;
             self.irradiance.set(&owned, &clean)
         })
@@ -275,7 +281,8 @@ pub fn solve(
     if quality.error.is_none() && quality.denoise.is_none() {
         return as_gathered(backend, texels, quality.gather, checkpoints, progress);
     }
-    let surface = Surface::new(texels, backend.scene().mesh(), denoise::REACH.max(estimate::RADIUS))?;
+    let scene = backend.scene().clone();
+    let surface = Surface::new(texels, scene.mesh(), denoise::REACH.max(estimate::RADIUS))?;
     solve_on(backend, &surface, quality, checkpoints, progress)
 }
 

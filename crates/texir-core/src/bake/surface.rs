@@ -1,7 +1,10 @@
-//! The texels of a bake by where they are in space.
+//! The texels of a bake by where they are in space, and by how large they are.
+
+use std::borrow::Cow;
 
 use super::blocks::{self, Block, Blocks};
 use super::texels::Texels;
+use crate::atlas::texel_area;
 use crate::checkpoint::Checkpoints;
 use crate::error::Result;
 use crate::mesh::Mesh;
@@ -10,21 +13,76 @@ use crate::surface::SurfacePoint;
 
 /// What blocks hold around their texels, as a multiple of how far neighbours reach: coordinates are rounded.
 const SLACK: f32 = 1.06;
+/// Texels of one kind differ in their edges by this factor: sixteen times as many lie around a small one as around a
+/// large one, at most.
+const SPREAD: f32 = 4.0;
+/// Kinds of texels at most: the last has all that are smaller.
+const KINDS: u32 = 8;
 
 /// Texels, and the blocks of space that they are in.
 pub(super) struct Surface<'a> {
     pub texels: &'a Texels<'a>,
+    mesh: &'a Mesh,
     blocks: Blocks,
     /// Edge of a typical texel, metres.
     pub texel: f32,
 }
 
+/// Texels of like size, among those of a block. How far neighbours reach is a number of them: were it a number of the
+/// typical ones of the map, all texels of a small thing that has many would be the neighbours of each.
+pub(super) struct Alike {
+    /// Edge of a typical one, metres.
+    pub texel: f32,
+    /// Their places in the block; none where all of its texels are alike.
+    among: Option<Vec<usize>>,
+}
+
+impl Alike {
+    /// Of values for the texels of the block, theirs.
+    pub fn of<'v, T: Copy>(&self, values: &'v [T]) -> Cow<'v, [T]> {
+        match &self.among {
+            None => Cow::Borrowed(values),
+            Some(among) => among.iter().map(|&i| values[i]).collect::<Vec<_>>().into(),
+        }
+    }
+
+    /// Puts their values where they belong among those of the block.
+    pub fn put<T>(&self, values: Vec<T>, all: &mut Vec<T>) {
+        match &self.among {
+            None => *all = values,
+            Some(among) => among.iter().zip(values).for_each(|(&i, value)| all[i] = value),
+        }
+    }
+}
+
 impl<'a> Surface<'a> {
     /// Of neighbours that reach `reach` texels.
-    pub fn new(texels: &'a Texels<'a>, mesh: &Mesh, reach: f32) -> Result<Self> {
+    pub fn new(texels: &'a Texels<'a>, mesh: &'a Mesh, reach: f32) -> Result<Self> {
         let texel = texels.typical(mesh)?;
         let blocks = Blocks::new(&texels.points, SLACK * reach * texel, &texels.workspace)?;
-        Ok(Self { texels, blocks, texel })
+        Ok(Self { texels, mesh, blocks, texel })
+    }
+
+    /// The texels with these points by their size. Those that are larger than the typical one, or have up to a quarter
+    /// of its edge, are of one kind; beyond that, there is one for every factor of four.
+    pub fn alike(&self, points: &[SurfacePoint]) -> Vec<Alike> {
+        let kind = |point: &SurfacePoint| {
+            let edge = texel_area(self.mesh, self.texels.size(), point.triangle).sqrt();
+            // Texels without a size are beside nothing, in whichever kind.
+            if edge > 0.0 { (self.texel / edge).log(SPREAD).clamp(0.0, (KINDS - 1) as f32) as u32 } else { 0 }
+        };
+        let kinds: Vec<u32> = points.iter().map(kind).collect();
+        let typical = |kind: u32| match kind {
+            0 => self.texel,
+            // In the middle of the edges that are its.
+            _ => self.texel / SPREAD.powi(kind as i32) / SPREAD.sqrt(),
+        };
+        let alike = |kind: u32| {
+            let among: Vec<usize> = (0..points.len()).filter(|&i| kinds[i] == kind).collect();
+            let all = among.len() == points.len();
+            (!among.is_empty()).then(|| Alike { texel: typical(kind), among: (!all).then_some(among) })
+        };
+        (0..KINDS).filter_map(alike).collect()
     }
 
     /// Goes through the blocks: their numbers, and their texels with the points of these.

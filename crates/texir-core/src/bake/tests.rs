@@ -281,6 +281,39 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
 }
 
 #[test]
+fn a_small_thing_of_many_texels_has_neighbours_of_its_own_size() {
+    // A floor of 10 m, and a square of 5 cm that has more than a third of the map.
+    let mut mesh = Mesh::default();
+    for (edge, height, left, width) in [(10.0, 0.0, 0.02, 0.55), (0.05, 1.0, 0.6, 0.38)] {
+        let base = mesh.positions.len() as u32;
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            mesh.positions.push(Vec3::new(edge * x, edge * y, height));
+            mesh.normals.push(Vec3::Z);
+            mesh.uvs.push(Vec2::new(left + width * x, 0.02 + 0.96 * y));
+        }
+        mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+    }
+    let scene = Arc::new(Scene::new(mesh).unwrap());
+    let mut backend = CpuBackend::new(scene.clone());
+    let texels = Texels::map(&mut backend, [LARGE; 2], Workspace::Memory, &Silent).unwrap();
+    let surface = Surface::new(&texels, scene.mesh(), 1.0).unwrap();
+    let points = texels.pieces().map(|items| texels.points.get(&items).unwrap().into_owned()).collect::<Vec<_>>();
+    let points = points.concat();
+    let [floor, square] = &surface.alike(&points)[..] else { panic!("two kinds are expected") };
+    let height = |alike: &surface::Alike| alike.of(&points).iter().map(|point| point.position[2]).collect::<Vec<_>>();
+    assert!(height(floor).iter().all(|z| *z < 0.5) && height(square).iter().all(|z| *z > 0.5));
+    assert_eq!(height(floor).len() + height(square).len(), points.len());
+    // Texels of some 5 cm / √(0.38 · 0.96 LARGE²).
+    let edge = 0.05 / (0.38 * 0.96 * (LARGE * LARGE) as f32).sqrt();
+    assert!((0.5..2.0).contains(&(square.texel / edge)) && floor.texel == surface.texel, "{} {edge}", square.texel);
+    // Each has its value back in its place.
+    let mut all = vec![0.0; points.len()];
+    floor.put(height(floor), &mut all);
+    square.put(height(square), &mut all);
+    assert!(points.iter().zip(&all).all(|(point, z)| point.position[2] == *z));
+}
+
+#[test]
 fn bounces_in_files_have_the_bits_of_those_in_memory() {
     let (scene, _) = strips();
     let mut backend = CpuBackend::new(scene);

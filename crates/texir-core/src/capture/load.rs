@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Capture, LoadOptions, Split, Truth, View, files, import, nerfstudio};
+use super::{Capture, LoadOptions, Split, Truth, View, files, import, nerfstudio, upright};
 use crate::atlas::DEFAULT_SIDE;
 use crate::camera::Projection;
 use crate::error::{Error, Result};
 use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
-use crate::mesh_io::{atlas_report, is_gltf, read_mesh};
+use crate::mesh_io::{atlas_report, read_mesh};
 use crate::progress::{Progress, Task};
 use crate::raster::times;
 use crate::scene::Scene;
@@ -62,14 +62,8 @@ pub fn load(folder: impl AsRef<Path>, options: &LoadOptions, progress: &dyn Prog
     progress.check()?;
     let file = read_mesh(&mesh_path)?;
     file.warnings.iter().for_each(|w| progress.warn(w));
-    let mut mesh = file.mesh;
-    if is_gltf(&mesh_path) && stands_on_its_side(&mesh, &views) {
-        mesh = upright(mesh);
-        progress.warn(&format!(
-            "{}: is taken as +Y up, as glTF has it: that way the cameras are inside of it",
-            mesh_path.display()
-        ));
-    }
+    let places = views.iter().map(|view| view.camera.position());
+    let mesh = upright::among_cameras(&mesh_path, file.mesh, places, progress);
     Scene::check(&mesh).map_err(|e| Error::file(&mesh_path, e))?;
     warn_about_atlas(&mesh_path, &mesh, progress);
     warn_about_positions(&root, &views, &mesh, progress);
@@ -135,27 +129,10 @@ fn warn_about_atlas(path: &Path, mesh: &Mesh, progress: &dyn Progress) {
     }
 }
 
-/// The views whose cameras are outside of the mesh's bounds.
-fn outside<'a>(mesh: &Mesh, views: &'a [View]) -> Vec<&'a View> {
-    let (low, high) = mesh.bounds();
-    let inside = |p: Vec3| p.cmpge(low).all() && p.cmple(high).all();
-    views.iter().filter(|v| !inside(v.camera.position())).collect()
-}
-
-/// Whether most cameras are outside of a mesh that, with its +Y turned to +Z, has all of them inside.
-fn stands_on_its_side(mesh: &Mesh, views: &[View]) -> bool {
-    2 * outside(mesh, views).len() > views.len() && outside(&upright(mesh.clone()), views).is_empty()
-}
-
-/// The mesh with its +Y turned to +Z.
-fn upright(mut mesh: Mesh) -> Mesh {
-    mesh.positions.iter_mut().chain(&mut mesh.normals).for_each(|v| *v = Vec3::new(v.x, -v.z, v.y));
-    mesh
-}
-
 fn warn_about_positions(root: &Path, views: &[View], mesh: &Mesh, progress: &dyn Progress) {
     let (low, high) = mesh.bounds();
-    let outside = outside(mesh, views);
+    let holds = upright::holds(mesh);
+    let outside: Vec<&View> = views.iter().filter(|view| !holds(view.camera.position())).collect();
     if let Some(first) = outside.first() {
         progress.warn(&format!(
             "{}: transform_matrix: {} of {} cameras are outside of the mesh's bounds {low} to {high}, the first is {:?} at \
@@ -234,36 +211,4 @@ fn truth(albedo: PathBuf, roughness: PathBuf) -> Result<Truth> {
     }
     [&albedo, &roughness].into_iter().try_for_each(check_whole)?;
     Ok(Truth { albedo, roughness })
-}
-
-#[cfg(test)]
-mod tests {
-    use glam::{Mat4, Vec2};
-
-    use super::*;
-    use crate::camera::Camera;
-
-    #[test]
-    fn a_mesh_stands_on_its_side_where_it_holds_the_cameras_once_it_is_turned_and_not_before() {
-        // A room of 6 × 2.5 × 4 m, 2.5 of which are its height, along +Y; behind the origin, as −Z is ahead in glTF.
-        let corners = [(0.0, 0.0, 0.0), (6.0, 2.5, -4.0), (6.0, 0.0, -4.0)];
-        let lying = Mesh {
-            positions: corners.map(|(x, y, z)| Vec3::new(x, y, z)).to_vec(),
-            normals: vec![Vec3::Y; 3],
-            uvs: vec![Vec2::ZERO; 3],
-            triangles: vec![[0, 1, 2]],
-        };
-        let view = |x: f32, y: f32| {
-            let world_from_camera = Mat4::from_translation(Vec3::new(x, y, 1.5));
-            let camera = Camera { projection: Projection::Equirectangular, width: 8, height: 4, world_from_camera };
-            View::new(format!("{x} {y}"), camera, Split::Train, PathBuf::new())
-        };
-        let views = [view(1.0, 1.0), view(5.0, 3.5), view(3.0, 2.0)];
-        assert!(stands_on_its_side(&lying, &views));
-        let standing = upright(lying.clone());
-        assert_eq!((standing.bounds(), standing.normals[0]), ((Vec3::ZERO, Vec3::new(6.0, 4.0, 2.5)), Vec3::Z));
-        assert!(!stands_on_its_side(&standing, &views));
-        // Nor one that is elsewhere either way.
-        assert!(!stands_on_its_side(&lying, &[view(50.0, 1.0)]));
-    }
 }

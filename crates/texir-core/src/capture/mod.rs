@@ -15,6 +15,7 @@ mod sharpen;
 mod shot;
 pub mod survey;
 mod tbl_file;
+mod upright;
 mod view;
 
 use std::path::{Path, PathBuf};

@@ -249,6 +249,8 @@ impl CameraModel {
         let projection = match self.camera_model.as_deref() {
             Some("EQUIRECTANGULAR") => Projection::Equirectangular,
             Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "OPENCV_FISHEYE") => self.pinhole(place)?,
+            // A perspective camera to nerfstudio, as instant-ngp writes them; but a panorama has its fl_x, too.
+            None if self.fl_x.is_some() && self.w != self.h.map(|h| 2.0 * h) => self.pinhole(place)?,
             other => {
                 let found = other.unwrap_or("missing");
                 let what = format!("is {found}; expected EQUIRECTANGULAR, PINHOLE, OPENCV or OPENCV_FISHEYE");

@@ -312,7 +312,7 @@ impl Shown {
                 continue;
             }
             let front = mesh.face_normal(hit.triangle);
-            let cosine = -front.dot(camera.direction(place[0] as f32 + 0.5, place[1] as f32 + 0.5));
+            let cosine = -front.dot(camera.direction_of(pixel));
             let radiance = image.data[pixel];
             if cosine < 0.0 {
                 self.behind.add(seen);

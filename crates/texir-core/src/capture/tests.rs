@@ -231,6 +231,16 @@ fn intrinsics_may_stand_in_the_file_or_in_the_frame_and_lists_split() {
     assert_eq!(views.iter().map(|v| v.split).collect::<Vec<_>>(), [Split::Train, Split::Novel]);
     assert_eq!(views.iter().map(|v| v.name.as_str()).collect::<Vec<_>>(), ["a_0", "b_0"], "stems collide");
     assert_eq!(views[0].image, folder.path().join("a/0.exr"));
+
+    // A file that names no model has perspective cameras, unless its images may be panoramas.
+    let unnamed = |height: usize| {
+        let mut document = document.clone();
+        (document["camera_model"], document["h"]) = (Value::Null, json!(height));
+        std::fs::write(&path, document.to_string()).unwrap();
+        load_cameras(&path)
+    };
+    assert_eq!(unnamed(3).unwrap()[0].camera.projection, views[0].camera.projection);
+    assert!(unnamed(2).unwrap_err().to_string().contains("camera_model is missing"));
 }
 
 #[test]

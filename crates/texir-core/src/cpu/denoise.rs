@@ -258,7 +258,7 @@ impl<R: Real> Pass<R, 4> for Conserve<'_, R> {
 impl Noisy<'_> {
     /// Both halves at a point.
     fn at<R: Real>(&self, i: usize) -> [V3<R>; 2] {
-        self.halves.each_ref().map(|half| V3::of(half[i]))
+        self.halves.map(|half| V3::of(half[i]))
     }
 }
 
@@ -368,7 +368,6 @@ impl<R: Real> Fit<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::denoise::Halves;
     use crate::progress::Silent;
     use crate::rng::{hash, hash2};
     use crate::surface::SurfacePoint;
@@ -389,7 +388,7 @@ mod tests {
     }
 
     /// Two halves of `truth` with independent, nearly normal noise.
-    fn noisy(truth: &[f32]) -> Halves {
+    fn noisy(truth: &[f32]) -> [Vec<[f32; 3]>; 2] {
         [1u32, 2].map(|half| {
             let unit = |k: u32| hash(k) as f32 / u32::MAX as f32 - 0.5;
             let normal = |i: u32| (0..6).map(|k| unit(hash2(hash2(i, k), half))).sum::<f32>() * 2f32.sqrt();
@@ -397,8 +396,8 @@ mod tests {
         })
     }
 
-    fn clean(points: &[SurfacePoint], halves: &Halves, apart: &[bool]) -> Vec<[f32; 3]> {
-        denoise(Noisy { points, halves, apart, texel: TEXEL }, &Silent).unwrap()
+    fn clean(points: &[SurfacePoint], [a, b]: &[Vec<[f32; 3]>; 2], apart: &[bool]) -> Vec<[f32; 3]> {
+        denoise(Noisy { points, halves: [a, b], apart, texel: TEXEL }, &Silent).unwrap()
     }
 
     fn run(points: &[SurfacePoint], truth: &[f32]) -> Vec<f32> {

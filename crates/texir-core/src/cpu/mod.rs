@@ -100,7 +100,7 @@ fn map_in_chunks<T: Sync, U: Send>(
 
 impl Backend for CpuBackend {
     fn name(&self) -> String {
-        format!("CPU, {} threads", rayon::current_num_threads())
+        "CPU".to_owned()
     }
 
     fn scene(&self) -> &Arc<Scene> {

@@ -43,10 +43,10 @@ impl TileBins {
             let corners = mesh.corner_uvs(triangle).map(|uv| uv * Vec2::new(width as f32, height as f32));
             let low = corners.into_iter().reduce(Vec2::min).unwrap_or_default() - 1.0;
             let high = corners.into_iter().reduce(Vec2::max).unwrap_or_default() + 1.0;
-            let tile = |x: f32, count: usize| ((x.max(0.0) as usize) / TILE).min(count.saturating_sub(1));
+            let tile = |x: f32| x.max(0.0) as usize / TILE;
+            let across = tile(low.x).min(columns.saturating_sub(1))..(tile(high.x) + 1).min(columns);
             let all_rows = height.div_ceil(TILE);
-            let across = tile(low.x, columns)..tile(high.x, columns) + 1;
-            (tile(low.y, all_rows).max(first_row)..(tile(high.y, all_rows) + 1).min(end_row))
+            (tile(low.y).min(all_rows.saturating_sub(1)).max(first_row)..(tile(high.y) + 1).min(end_row))
                 .flat_map(move |ty| across.clone().map(move |tx| (ty - first_row) * columns + tx))
         };
         // Where the lists of the tiles end; then, while they are filled, where their next entries go.

@@ -53,11 +53,14 @@ pub struct Panorama {
 
 /// Places panoramas in all rooms, away from surfaces and from each other. Training views come first.
 pub fn panoramas(flat: &Flat, options: &PanoramaOptions, progress: &dyn Progress) -> Result<Vec<Panorama>> {
-    if options.train < flat.rooms.len() || options.height == 0 {
-        let (rooms, train, height) = (flat.rooms.len(), options.train, options.height);
+    let (rooms, &PanoramaOptions { train, height, .. }) = (flat.rooms.len(), options);
+    if train < rooms {
         return Err(Error::invalid(format!(
-            "{rooms} rooms need at least {rooms} training panoramas of at least 1 row, {train} of {height} rows asked for"
+            "PanoramaOptions::train is {train}; expected one for each of {rooms} rooms at least"
         )));
+    }
+    if height == 0 {
+        return Err(Error::invalid("PanoramaOptions::height is 0; expected a row at least"));
     }
     let world = World::new(flat)?;
     let mut random = Random::new(options.seed, 3);

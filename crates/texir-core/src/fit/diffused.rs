@@ -2,19 +2,19 @@
 //!
 //! What a texel of the HDR texture holds is what the views saw there, reflections of lamps and windows included, as if
 //! the surface sent that everywhere; and where no view sees, behind curtains and under beds, what is seen nearby,
-//! although it is mostly dark there. A surface of known material sends (a + s) E/π, averaged over all directions: a E/π
-//! is what the fit explains of the views by diffuse reflection, and s what a dielectric reflects specularly of uniform
-//! light. Irradiance of that light relaxes TexIR's assumption that what is captured is diffuse (Li et al. 2023, section
-//! 6).
+//! although it is mostly dark there. A surface of known material sends (d a + s) E/π, averaged over all directions: d
+//! is what its diffuse model scatters at its roughness, over a Lambertian, and s what a dielectric of that roughness
+//! reflects specularly of uniform light. Irradiance of that light relaxes TexIR's assumption that what is captured is
+//! diffuse (Li et al. 2023, section 6).
 
 use std::f32::consts::FRAC_1_PI;
 
 use super::Materials;
 use crate::atlas::Atlas;
 use crate::bake::PADDING;
-use crate::brdf::DIELECTRIC_SPECULAR;
 use crate::capture::{Coverage, Tbl};
 use crate::raster::{Mask, Rgb};
+use crate::specular_albedo::specular_albedo;
 
 /// Radiance that every texel sends. Light sources, metals, and what is captured though none of the pixels fitted shows
 /// it (`is_fitted`, per texel) send what was captured.
@@ -27,7 +27,9 @@ pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask
             return tbl.radiance.data[t];
         }
         let (albedo, irradiance) = (materials.albedo.data[t], materials.irradiance.data[t]);
-        std::array::from_fn(|c| (albedo[c] + DIELECTRIC_SPECULAR) * irradiance[c] * FRAC_1_PI)
+        let roughness = materials.roughness.data[t];
+        let (d, s) = (materials.diffuse.albedo_factor(roughness), specular_albedo(materials.masking, roughness));
+        std::array::from_fn(|c| (d * albedo[c] + s) * irradiance[c] * FRAC_1_PI)
     };
     let sent: Vec<[f32; 3]> = atlas.texels.iter().zip(is_fitted).map(sent).collect();
     atlas.scatter_padded(&sent, &vec![true; sent.len()], [0.0; 3], PADDING)
@@ -53,8 +55,15 @@ mod tests {
     use crate::scene::Scene;
     use crate::tbl::tests::room;
 
+    const ROUGHNESS: f32 = 0.5;
+
+    /// What surfaces of [`materials`] reflect specularly.
+    fn specular() -> f32 {
+        specular_albedo(Masking::default(), ROUGHNESS)
+    }
+
     fn materials(albedo: Rgb, irradiance: Rgb, metallic: Option<Gray>) -> Materials {
-        let roughness = Gray::filled(albedo.width, albedo.height, 0.5);
+        let roughness = Gray::filled(albedo.width, albedo.height, ROUGHNESS);
         let (diffuse, masking) = (DiffuseModel::default(), Masking::default());
         Materials { albedo, roughness, metallic, irradiance, diffuse, masking, confidence: None }
     }
@@ -68,7 +77,7 @@ mod tests {
         let tbl = Tbl { radiance: map([5.0, 7.0, 3.0, 2.0, 4.0]), coverage };
         let metallic = Gray { width: 5, height: 1, data: vec![0.0, 0.0, 1.0, 0.0, 0.0] };
         let emitters = Mask { width: 5, height: 1, data: vec![false, true, false, false, false] };
-        let materials = materials(map([0.44; 5]), map([std::f32::consts::TAU; 5]), Some(metallic));
+        let materials = materials(map([0.5 - specular(); 5]), map([std::f32::consts::TAU; 5]), Some(metallic));
         let sent = radiance(&atlas, &tbl, &materials, &emitters, &[true, true, true, false, false]);
         for (found, expected) in sent.data.iter().zip([1.0, 7.0, 3.0, 2.0, 1.0]) {
             assert!((found[0] - expected).abs() < 1e-5, "{:?}", sent.data);
@@ -89,7 +98,7 @@ mod tests {
         let is_lamp: Vec<bool> = atlas.points.iter().map(|p| near_lamp(p.position.into())).collect();
         let emission = |i: usize| if is_lamp[i] { 30.0 } else { 0.0 };
         let surfaces = Surfaces {
-            albedo: map(&|_| ALBEDO + DIELECTRIC_SPECULAR),
+            albedo: map(&|_| ALBEDO + specular()),
             emission: map(&emission),
             lights: Vec::new(),
             environment: None,
@@ -109,7 +118,7 @@ mod tests {
         // 1.5 m shines twice as bright towards the views as on average.
         let hidden = |i: usize| atlas.points[i].normal[0] > 0.5;
         let glossy = |i: usize| atlas.points[i].normal[2] > 0.5 && atlas.points[i].position[1] < 1.5;
-        let reflected = |i: usize| (ALBEDO + DIELECTRIC_SPECULAR) * FRAC_1_PI * truth[i];
+        let reflected = |i: usize| (ALBEDO + specular()) * FRAC_1_PI * truth[i];
         let captured = map(&|i| {
             emission(i)
                 + reflected(i)

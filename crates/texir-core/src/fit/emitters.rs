@@ -15,15 +15,16 @@ use crate::surface::SurfacePoint;
 const HOLE: f32 = 0.1;
 
 /// Finds the texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
-/// that stand out from the scene, L > ratio · mean L; in luminance (Rec. 709). Where views see such a texel, the median
-/// of what they see must pass as well: in the texture, a lamp bleeds into what is seen beside and behind it. What is
-/// joined to such texels on the surface belongs to them as long as it passes half the `ratio`: the darker part of a
-/// window, a lamp's shade. What they enclose on the surface is one of them: irradiance is noisy close to them. What no
-/// view sees is a light source only where the texture was filled with one's light: elsewhere it may well be brighter
-/// than the little that arrives in the gap behind a wardrobe.
+/// that stand out from their room, L > ratio · mean L; in luminance (Rec. 709). `rooms` tells the room of each texel:
+/// beside a room in the sun, a lamp in the dark is one all the same. Where views see such a texel, the median of what
+/// they see must pass as well: in the texture, a lamp bleeds into what is seen beside and behind it. What is joined to
+/// such texels on the surface belongs to them as long as it passes half the `ratio`: the darker part of a window, a
+/// lamp's shade. What they enclose on the surface is one of them: irradiance is noisy close to them. What no view sees
+/// is a light source only where the texture was filled with one's light: elsewhere it may well be brighter than the
+/// little that arrives in the gap behind a wardrobe.
 pub fn find(
     backend: &mut dyn Backend,
-    (atlas, adjacency): (&Atlas, &Adjacency),
+    (atlas, adjacency, rooms): (&Atlas, &Adjacency, &[u16]),
     (tbl, irradiance): (&Tbl, &Rgb),
     views: &[View],
     ratio: f32,
@@ -35,19 +36,17 @@ pub fn find(
     let seen: Vec<_> = texels().map(|t| is_seen(t).then(|| radiance.data[t])).collect();
     let limit = inpaint::source_limit(&seen);
     let known = |t: usize| is_seen(t) || mean_of_channels(radiance.data[t]) > limit;
-    let sum: f64 = texels().map(|t| f64::from(luminance(&radiance.data[t]))).sum();
-    let mean = (sum / atlas.texels.len() as f64) as f32;
     let reflected = |t: usize| luminance(&irradiance.data[t]) * std::f32::consts::FRAC_1_PI;
-    let least = |t: usize| ratio * reflected(t).max(mean);
+    let means = means(rooms, texels().map(|t| luminance(&radiance.data[t])));
+    let least = |i: usize| ratio * reflected(atlas.texels[i] as usize).max(means[rooms[i] as usize]);
     let mut mask = Mask::filled(radiance.width, radiance.height, false);
-    for t in texels().filter(|&t| known(t)) {
-        mask.data[t] = luminance(&radiance.data[t]) > least(t);
+    for (i, t) in texels().enumerate().filter(|(_, t)| known(*t)) {
+        mask.data[t] = luminance(&radiance.data[t]) > least(i);
     }
     let candidates: Vec<usize> = (0..atlas.texels.len()).filter(|&i| mask.data[atlas.texels[i] as usize]).collect();
     for (i, mut seen) in candidates.iter().zip(sightings(backend, atlas, &candidates, views, progress)?) {
         if let Some(median) = median(&mut seen) {
-            let texel = atlas.texels[*i] as usize;
-            mask.data[texel] = median > least(texel);
+            mask.data[atlas.texels[*i] as usize] = median > least(*i);
         }
     }
     let mut edge: Vec<u32> =
@@ -65,6 +64,17 @@ pub fn find(
         mask.data[atlas.texels[i as usize] as usize] = true;
     }
     Ok(mask)
+}
+
+/// The mean over the texels of each room, by its number; 0 for numbers of none.
+fn means(rooms: &[u16], values: impl Iterator<Item = f32>) -> Vec<f32> {
+    let mut sums = vec![(0.0, 0u32); rooms.iter().max().map_or(0, |last| usize::from(*last) + 1)];
+    for (room, value) in rooms.iter().zip(values) {
+        let (sum, count) = &mut sums[usize::from(*room)];
+        *sum += f64::from(value);
+        *count += 1;
+    }
+    sums.into_iter().map(|(sum, count)| (sum / f64::from(count.max(1))) as f32).collect()
 }
 
 /// Texels that what `shines` encloses on its surface, up to [`HOLE`] at a place: one pane does not shine but for a
@@ -149,7 +159,7 @@ mod tests {
         let mut coverage = Raster::filled(SIDE, SIDE, Coverage::Seen);
         let found = |radiance: &Rgb, coverage: &Raster<Coverage>, views: &[View]| {
             let mut backend = square.backend();
-            let surface = (&square.atlas, &square.adjacency);
+            let surface = (&square.atlas, &square.adjacency, &[1; SIDE * SIDE][..]);
             let tbl = Tbl { radiance: radiance.clone(), coverage: coverage.clone() };
             let mask = find(&mut backend, surface, (&tbl, &irradiance), views, 3.0, &Silent).unwrap();
             (0..SIDE * SIDE).filter(|&t| mask.data[t]).collect::<Vec<_>>()
@@ -169,6 +179,31 @@ mod tests {
         radiance.data[LAMP] = [0.4; 3];
         let dim = found(&radiance, &coverage, &views);
         assert_eq!(dim, [0; 0], "a dim surface beside nothing that glows is no light source");
+    }
+
+    #[test]
+    fn a_lamp_in_the_dark_shines_beside_a_room_in_the_sun() {
+        let square = LitSquare::new();
+        // Half of it is in the sun, with a window; the other half has a lamp that is no brighter than what the sun
+        // lights.
+        let sunny = |t: usize| t % SIDE < SIDE / 2;
+        const WINDOW: usize = 2 * SIDE + 1;
+        let mut radiance = Rgb::filled(SIDE, SIDE, [0.0; 3]);
+        (0..SIDE * SIDE).for_each(|t| radiance.data[t] = [if sunny(t) { 10.0 } else { 0.1 }; 3]);
+        let irradiance = radiance.map(|l| l.map(|l| 2.0 * std::f32::consts::PI * l));
+        radiance.data[WINDOW] = [1000.0; 3];
+        radiance.data[BESIDE] = [10.0; 3];
+        let coverage = Raster::filled(SIDE, SIDE, Coverage::Seen);
+        let tbl = Tbl { radiance, coverage };
+        let found = |room: &dyn Fn(usize) -> u16| {
+            let rooms: Vec<u16> = square.atlas.texels.iter().map(|t| room(*t as usize)).collect();
+            let surface = (&square.atlas, &square.adjacency, &rooms[..]);
+            let mask = find(&mut square.backend(), surface, (&tbl, &irradiance), &[], 3.0, &Silent).unwrap();
+            (0..SIDE * SIDE).filter(|&t| mask.data[t]).collect::<Vec<_>>()
+        };
+        assert_eq!(found(&|t| if sunny(t) { 1 } else { 4 }), [WINDOW, BESIDE]);
+        // Negative control: in one room, it does not stand out.
+        assert_eq!(found(&|_| 1), [WINDOW]);
     }
 
     #[test]

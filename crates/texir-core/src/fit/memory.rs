@@ -1,5 +1,7 @@
 //! What a fit has in memory, and how the resolution of the views follows from what it may have.
 
+use std::collections::BTreeMap;
+
 use bytesize::ByteSize;
 
 use crate::atlas::{Atlas, DEFAULT_SIDE};
@@ -15,8 +17,8 @@ use crate::tbl;
 const PIXELS_PER_TEXEL: u64 = 4;
 /// Bytes of the program itself, with its libraries and what its allocator keeps to itself.
 const PROGRAM: u64 = 100_000_000;
-/// Reductions that are tried for a view, beyond what is asked, until one leaves a panorama whole.
-const TRIES: usize = 8;
+/// Up to how many times what is asked a view is reduced, until a number leaves a panorama whole.
+const FARTHEST: usize = 4;
 
 /// Bytes that a texel of the atlas (valid or not) and a pixel take, as measured.
 fn bytes_of(settings: &FitSettings) -> (u64, u64) {
@@ -50,7 +52,8 @@ pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usiz
 }
 
 /// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the
-/// fit keeps to `settings.max_memory`; as many of them a step less far as that allows. Errors when the textures alone
+/// fit keeps to `settings.max_memory`; as many of them less far, by the next number that leaves them whole, as that
+/// allows. Errors when the textures alone
 /// exceed it.
 pub fn affordable(
     views: &[View],
@@ -75,7 +78,7 @@ pub fn affordable(
         return Ok(views.to_vec());
     }
     let reduced = |view: &View| {
-        (factor..factor + TRIES).find_map(|factor| view.reduced(factor)).ok_or_else(|| {
+        (factor..=FARTHEST * factor).find_map(|factor| view.reduced(factor)).ok_or_else(|| {
             let (width, height) = (view.camera.width, view.camera.height);
             Error::file(
                 &view.image,
@@ -87,32 +90,36 @@ pub fn affordable(
         })
     };
     let mut read: Vec<View> = views.iter().map(reduced).collect::<Result<_>>()?;
-    let mut left = allowed.saturating_sub(read.iter().map(|view| view.camera.pixels() as u64).sum());
-    let mut finer = 0;
+    let pixels_of = |read: &[View]| read.iter().map(|view| view.camera.pixels() as u64).sum::<u64>();
+    let mut left = allowed.saturating_sub(pixels_of(&read));
     for i in spread(views.len()) {
-        let Some(view) = views[i].reduced(factor - 1) else { continue };
-        let more = (view.camera.pixels() as u64).saturating_sub(read[i].camera.pixels() as u64);
+        let Some(finer) = (1..read[i].reduction).rev().find_map(|factor| views[i].reduced(factor)) else { continue };
+        let more = (finer.camera.pixels() - read[i].camera.pixels()) as u64;
         if more <= left {
             left -= more;
-            finer += 1;
-            read[i] = view;
+            read[i] = finer;
         }
     }
     let why = if allowed < useful { format!("max_memory is {limit}") } else { "the atlas holds no more detail".into() };
-    let all = read.iter().map(|view| view.camera.pixels() as u64).sum::<u64>();
-    let others = match (finer, factor) {
-        (0, _) => String::new(),
-        (_, 2) => ", the others whole".into(),
-        _ => format!(", the others at 1/{}", factor - 1),
-    };
     progress.warn(&format!(
-        "{} of the {} views are read at 1/{factor} of their width and height{others}: {} pixels of {}, as {why}",
-        views.len() - finer,
-        views.len(),
-        counted(all),
+        "{}: {} pixels of {}, as {why}",
+        resolutions(&read),
+        counted(pixels_of(&read)),
         counted(pixels)
     ));
     Ok(read)
+}
+
+/// How many views are read at which share of their width and height.
+fn resolutions(views: &[View]) -> String {
+    let mut of: BTreeMap<usize, usize> = BTreeMap::new();
+    views.iter().for_each(|view| *of.entry(view.reduction).or_default() += 1);
+    let read = |(reduction, count): (usize, usize)| match reduction {
+        1 => format!("{count} whole"),
+        _ => format!("{count} at 1/{reduction}"),
+    };
+    let each: Vec<String> = of.into_iter().map(read).collect();
+    format!("of {} views, {} of their width and height are read", views.len(), each.join(", "))
 }
 
 /// A number with as many digits as one reads.
@@ -172,20 +179,49 @@ mod tests {
         let square = LitSquare::new();
         let place = (square.scene.mesh(), &square.atlas);
         let settings = FitSettings::default();
-        // 64 texels: 256 pixels are useful. Five views of 8 × 4 are fewer, five of 32 × 16 are ten times as many.
+        // 64 texels: 256 pixels are useful. Five views of 8 × 4 are fewer, five of 32 × 16 are ten times as many: at a
+        // quarter of their width they have 160, and one of them may have half.
         let few = square.views(&texture(), [8, 4]);
         let same = affordable(&few, place, &settings, &Silent).unwrap();
         assert!(same.iter().all(|v| v.reduction == 1 && v.camera.width == 8));
         let many = square.views(&texture(), [32, 16]);
         let reduced = affordable(&many, place, &settings, &Silent).unwrap();
-        assert!(reduced.iter().all(|v| v.reduction == 4 && (v.camera.width, v.camera.height) == (8, 4)));
-        let image = reduced[0].load_image(&Silent).unwrap();
-        let whole = many[0].load_image(&Silent).unwrap();
+        assert_eq!(reduced.iter().map(|v| v.reduction).collect::<Vec<_>>(), [2, 4, 4, 4, 4]);
+        assert!(reduced[1..].iter().all(|v| (v.camera.width, v.camera.height) == (8, 4)));
+        let image = reduced[1].load_image(&Silent).unwrap();
+        let whole = many[1].load_image(&Silent).unwrap();
         let mean: f32 = (0..16).map(|i| whole.at(16 + i % 4, 8 + i / 4)[0]).sum::<f32>() / 16.0;
         assert!(mean > 0.0 && (image.at(4, 2)[0] - mean).abs() < 1e-5 * mean, "{:?} for {mean}", image.at(4, 2));
         // Pixels look where the pixels did that they were made of.
-        let direction = reduced[0].camera.direction(4.5, 2.5);
-        assert!((direction - many[0].camera.direction(18.0, 10.0)).length() < 1e-6);
+        let direction = reduced[1].camera.direction(4.5, 2.5);
+        assert!((direction - many[1].camera.direction(18.0, 10.0)).length() < 1e-6);
+    }
+
+    #[test]
+    fn panoramas_that_few_numbers_divide_use_what_there_is_as_well() {
+        let square = LitSquare::new();
+        let place = (square.scene.mesh(), &square.atlas);
+        let view = square.views(&texture(), [8, 4]).swap_remove(0);
+        // 64 texels: 256 pixels are useful.
+        let read = |count: usize, [width, height]: [usize; 2]| {
+            let views = vec![View { camera: Camera { width, height, ..view.camera }, ..view.clone() }; count];
+            let warnings = Warnings::default();
+            let read = affordable(&views, place, &FitSettings::default(), &warnings).unwrap();
+            let pixels: usize = read.iter().map(|view| view.camera.pixels()).sum();
+            assert!(pixels <= 256, "{pixels}");
+            (pixels, warnings.all().concat())
+        };
+        // Reduced 5 times and more, so 8 times: 20 views have 160 pixels. One more at 1/4 has 24 more.
+        let (pixels, said) = read(20, [32, 16]);
+        assert_eq!(pixels, 256, "{said}");
+        assert!(said.contains("of 20 views, 4 at 1/4, 16 at 1/8 of their width and height are read"), "{said}");
+        // 20 times and more: up to 31, no number divides 128 rows.
+        let (pixels, said) = read(3, [256, 128]);
+        assert_eq!(pixels, 192, "{said}");
+        // Rows of a large prime number are refused.
+        let odd = View { camera: Camera { width: 2 * 1021, height: 1021, ..view.camera }, ..view.clone() };
+        let error = affordable(&[odd], place, &FitSettings::default(), &Silent).unwrap_err().to_string();
+        assert!(error.contains("resize"), "{error}");
     }
 
     #[test]
@@ -212,7 +248,7 @@ mod tests {
         let views = square.views(&texture(), [32, 16]);
         affordable(&views, (square.scene.mesh(), &square.atlas), &FitSettings::default(), &warnings).unwrap();
         let said = warnings.all();
-        assert!(said.len() == 1 && said[0].contains("160 pixels of 2560, as the atlas"), "{said:?}");
+        assert!(said.len() == 1 && said[0].contains("256 pixels of 2560, as the atlas"), "{said:?}");
         assert_eq!(
             [9999, 10_400, 999_000, 1_260_000].map(counted),
             ["9999", "10 thousand", "999 thousand", "1.3 million"]

@@ -22,6 +22,7 @@ use std::time::Instant;
 use adjacency::Adjacency;
 use glam::Vec3;
 use lighting::{Lighting, lighting};
+use rayon::prelude::*;
 
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
@@ -37,6 +38,7 @@ use crate::progress::Progress;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::Textures;
 use crate::rooms::{self, FloorPlan, RoomOptions};
+use crate::surface::SurfacePoint;
 pub use paper::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
@@ -142,7 +144,11 @@ pub fn fit(
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
-    let emitters = emitters::find(backend, (&atlas, &adjacency), light, &training, settings.emitter_ratio, progress)?;
+    let room = |point: &SurfacePoint| plan.room_of(point.position.into(), point.normal.into());
+    let room_of_texel: Vec<u16> = atlas.points.par_iter().map(room).collect();
+    let surface = (&atlas, &adjacency, &room_of_texel[..]);
+    let emitters = emitters::find(backend, surface, light, &training, settings.emitter_ratio, progress)?;
+    drop(room_of_texel);
     if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
         return Err(Error::invalid(
             "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \

@@ -66,8 +66,8 @@ pub struct FitSettings {
     /// Paper mode: take diffuse light from the irradiance that was baked. Otherwise every step gathers it anew, with as
     /// many cosine-distributed rays per pixel as `specular_samples` (the paper's source TBL, Figure 8).
     pub precomputed_irradiance: bool,
-    /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect: L > ratio ·
-    /// E/π.
+    /// A texel is a light source where its radiance exceeds what an albedo of this value would reflect, L > ratio ·
+    /// E/π, and its room's mean radiance as many times.
     pub emitter_ratio: f32,
     /// Which roughness gradient the adjoint uses.
     pub gradient: RoughnessGradient,

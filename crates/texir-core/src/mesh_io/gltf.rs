@@ -179,7 +179,7 @@ pub(crate) fn for_each_node(
     let scene = document
         .default_scene()
         .or_else(|| document.scenes().next())
-        .ok_or_else(|| Error::file(path, "has no scene; expected one with a mesh"))?;
+        .ok_or_else(|| Error::file(path, "has no scene; expected one with nodes"))?;
     let mut visited = vec![false; document.nodes().len()];
     let mut stack: Vec<_> = scene.nodes().map(|n| (n, Mat4::IDENTITY)).collect();
     stack.reverse();
@@ -361,7 +361,7 @@ fn check_accessors(path: &Path, place: &str, primitive: &Primitive) -> Result<()
         // Zeros that stand nowhere in the file: a few bytes could ask for any number of them.
         Some(a) if a.view().is_none() => Err(Error::file(
             path,
-            format!("{place}: {name} has no bufferView; expected values, sparse or not, in a buffer"),
+            format!("{place}: {name} has no bufferView; expected one, also where an accessor is sparse, over zeros"),
         )),
         Some(a) if a.dimensions() != shape || !types.contains(&a.data_type()) || a.count() == 0 => Err(Error::file(
             path,

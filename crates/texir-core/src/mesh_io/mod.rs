@@ -4,6 +4,7 @@ mod atlas;
 pub(crate) mod gltf;
 pub mod obj;
 mod ply;
+mod polygon;
 
 use std::path::Path;
 
@@ -30,6 +31,8 @@ struct RawMesh {
     normals: Vec<Option<Vec3>>,
     uvs: Vec<Option<Vec2>>,
     triangles: Vec<[u32; 3]>,
+    /// Polygons of which no good triangles could be made.
+    crossing_polygons: usize,
     warnings: Vec<String>,
 }
 
@@ -84,7 +87,7 @@ pub fn read_surface(path: impl AsRef<Path>) -> Result<(MeshFile, usize)> {
 
 /// The mesh, and how many of its triangles have no place in the atlas.
 fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
-    let RawMesh { positions, mut normals, mut uvs, mut triangles, mut warnings } = raw;
+    let RawMesh { positions, mut normals, mut uvs, mut triangles, crossing_polygons, mut warnings } = raw;
     if triangles.is_empty() {
         return Err(Error::file(path, "has no triangles; expected a surface, not a point cloud or curves"));
     }
@@ -108,6 +111,14 @@ fn check(path: &Path, raw: RawMesh) -> Result<(MeshFile, usize)> {
             "{}: {} of {before} triangles have no area and are left out",
             path.display(),
             before - triangles.len()
+        ));
+    }
+
+    if crossing_polygons > 0 {
+        warnings.push(format!(
+            "{}: the outlines of {crossing_polygons} polygons cross themselves: parts of them are there twice, or face \
+             the wrong way. Export triangles",
+            path.display()
         ));
     }
 

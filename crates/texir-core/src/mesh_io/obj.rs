@@ -19,7 +19,8 @@ use crate::mesh::Mesh;
 /// Neighbouring faces that have the same of these make a group.
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
     let mut lines = Lines::new(BufReader::new(File::open(path).map_err(|e| Error::cannot_read(path, e))?));
-    let options = LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
+    // The parser's triangles are fans, also where polygons are concave.
+    let options = LoadOptions { single_index: true, triangulate: false, ignore_points: true, ignore_lines: true };
     // Materials are what texir recovers: the library that the file names is not looked for.
     let read = tobj::load_obj_buf(&mut lines, &options, |_| Ok(Default::default()));
     let (models, _) = read.map_err(|e| {
@@ -28,7 +29,7 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
     })?;
     let mut raw = RawMesh::default();
     for model in models {
-        let (mesh, base) = (model.mesh, raw.positions.len() as u32);
+        let (mut mesh, base) = (model.mesh, raw.positions.len() as u32);
         let vertices = mesh.positions.len() / 3;
         raw.positions.extend(mesh.positions.chunks_exact(3).map(Vec3::from_slice));
         if mesh.texcoords.len() == 2 * vertices {
@@ -42,7 +43,15 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
         } else {
             raw.normals.extend(std::iter::repeat_n(None, vertices));
         }
-        raw.triangles.extend(mesh.indices.chunks_exact(3).map(|t| [base + t[0], base + t[1], base + t[2]]));
+        mesh.indices.iter_mut().for_each(|i| *i += base);
+        let mut rest = &mesh.indices[..];
+        // There are none where all faces are triangles.
+        let mut corners = mesh.face_arities.iter().map(|corners| *corners as usize);
+        while !rest.is_empty() {
+            let (face, others) = rest.split_at(corners.next().unwrap_or(3));
+            raw.push_polygon(face);
+            rest = others;
+        }
     }
     Ok(raw)
 }
@@ -54,7 +63,6 @@ fn explain(e: &LoadError) -> &'static str {
         LoadError::TexcoordParseError => "a `vt` line is not two numbers",
         LoadError::FaceParseError => "an `f` line is not a list of v, v/vt, v//vn or v/vt/vn",
         LoadError::ScalingByZeroError => "the w of a `v` line is 0",
-        LoadError::InvalidPolygon => "an `f` line up to here has no vertices",
         LoadError::FaceColorOutOfBounds => "some of the `v` lines up to here have a colour, and some have none",
         LoadError::ReadError => "a line cannot be read as text",
         _ => "a line cannot be understood",

@@ -91,13 +91,14 @@ impl Vertex {
 }
 
 fn with_vertex_uvs(vertices: &[Vertex], faces: &[Face]) -> RawMesh {
-    RawMesh {
+    let mut raw = RawMesh {
         positions: vertices.iter().map(Vertex::position).collect(),
         normals: vertices.iter().map(Vertex::normal).collect(),
         uvs: vertices.iter().map(Vertex::uv).collect(),
-        triangles: faces.iter().flat_map(|f| fan(&f.vertex_indices)).collect(),
-        warnings: Vec::new(),
-    }
+        ..RawMesh::default()
+    };
+    faces.iter().for_each(|face| raw.push_polygon(&face.vertex_indices));
+    raw
 }
 
 /// Every corner of a face becomes a vertex: charts meet at vertices of different texture coordinates.
@@ -125,12 +126,7 @@ fn with_corner_uvs(path: &Path, vertices: &[Vertex], faces: &[Face]) -> Result<R
             raw.uvs.push(Some(flip(uv[0], uv[1])));
         }
         let indices: Vec<u32> = (base..base + corners as u32).collect();
-        raw.triangles.extend(fan(&indices));
+        raw.push_polygon(&indices);
     }
     Ok(raw)
-}
-
-/// A convex polygon as triangles.
-fn fan(polygon: &[u32]) -> impl Iterator<Item = [u32; 3]> {
-    polygon.windows(2).skip(1).map(|edge| [polygon[0], edge[0], edge[1]])
 }

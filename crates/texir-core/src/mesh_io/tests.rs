@@ -1,5 +1,7 @@
 //! Every format against the same two-triangle square, and every kind of bad mesh.
 
+mod polygons;
+
 use std::path::PathBuf;
 
 use base64::Engine;

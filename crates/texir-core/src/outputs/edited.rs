@@ -7,12 +7,29 @@ use bytemuck::Pod;
 
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use crate::raster::Raster;
+use crate::raster::{Raster, times};
 
 /// What albedo, roughness, metalness and confidence can be.
 pub(super) const SHARE: RangeInclusive<f32> = 0.0..=1.0;
 /// What light can be.
 pub(super) const LIGHT: RangeInclusive<f32> = 0.0..=f32::MAX;
+
+/// Errors where the texture from `path` has another shape than the atlas, whose size may differ: it is laid over all of
+/// it.
+pub(super) fn same_shape(path: &Path, [width, height]: [usize; 2], atlas: [usize; 2]) -> Result<()> {
+    if width * atlas[1] == height * atlas[0] {
+        return Ok(());
+    }
+    Err(Error::file(
+        path,
+        format!(
+            "is {}; expected the atlas's {}, or another size of that shape: what was cut off or added would shift all \
+             that is left",
+            times([width, height]),
+            times(atlas)
+        ),
+    ))
+}
 
 /// The texture from `path`, of pixels that are nothing but `f32` channels. Texels that are no numbers are an error:
 /// nothing is known of what they should be. Values out of range are taken for the nearest one within, with a warning.

@@ -5,7 +5,7 @@
 //! (`photo.rs`); light sources are resolved below the size of pixels (`sources.rs`). Texels that no view sees are
 //! filled along the surface from light sources (`unseen.rs`), as far as what these would light agrees (`witnesses.rs`),
 //! and otherwise from their neighbourhood in space (`inpaint.rs`), and flagged. Views are read one at a time; memory is
-//! bounded by the atlas and a band of it.
+//! that of the atlas, a band of it, and some 300 bytes for every pixel of all views that shows a light source.
 
 mod blend;
 pub mod blur;

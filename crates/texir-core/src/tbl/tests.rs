@@ -756,6 +756,24 @@ fn views_that_are_in_place_stay_where_they_are() {
 }
 
 #[test]
+fn views_of_plain_walls_stay_where_they_are() {
+    let scene = Arc::new(Scene::new(room()).unwrap());
+    let truth = many_cameras();
+    // White but for a lamp, of which pixels show the rim more or less.
+    let lamp = |p: Vec3| if p.z > ROOM.z - 0.01 && p.distance(Vec3::new(2.0, 1.5, ROOM.z)) < 0.3 { 20.0 } else { 0.2 };
+    let photographs = |paint: &dyn Fn(Vec3) -> [f32; 3]| -> Vec<Rgb> {
+        truth.iter().map(|camera| photograph(&scene, camera, |p, _| paint(p))).collect()
+    };
+    let cameras = out_of_place(&truth, 0.02, 1_f32.to_radians());
+    let plain = photographs(&|p| [lamp(p); 3]);
+    assert!(refined(&scene, &truth, &plain) == truth);
+    assert!(refined(&scene, &cameras, &plain) == cameras, "a lamp does not tell where the walls are");
+    // Negative control: on walls that are painted, the same errors are seen.
+    let painted = photographs(&|p| pattern(p).map(|l| l * lamp(p)));
+    assert!(off(&refined(&scene, &cameras, &painted), &truth).1 < 0.5 * off(&cameras, &truth).1);
+}
+
+#[test]
 fn poses_that_are_off_by_many_pixels_are_found() {
     let scene = Arc::new(Scene::new(room()).unwrap());
     let truth: Vec<Camera> = many_cameras().iter().map(|camera| camera.supersampled(2)).collect();

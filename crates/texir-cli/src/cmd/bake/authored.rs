@@ -93,8 +93,7 @@ struct Summary {
 pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Failure> {
     let options = &bake.authored;
     let tolerance = options.tolerance.unwrap_or(TOLERANCE);
-    let glb = bake.output.with_extension("glb");
-    check_outputs(&[&glb], read)?;
+    check_outputs(&[&bake.output.with_extension("glb")], read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
     let reflected = if options.specular { Reflected::InAll } else { Reflected::Diffusely };
     let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
@@ -106,43 +105,16 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         }
         None => Workspace::Memory,
     };
-    let mut backend = device::open(Scene::new(model.mesh.clone())?, session.config, session.console)?;
-    let prepared = prepare(backend.as_mut(), &model, environment, workspace, (bake, session));
-    // Nothing is kept yet: a folder that is there for files without a name is empty.
-    let (texels, surfaces) = prepared.inspect_err(|_| drop(std::fs::remove_dir(bake.partial())))?;
+    let mut backend = device::open(Scene::new(model.mesh.clone())?, session)?;
+    let (texels, surfaces) =
+        prepare(backend.as_mut(), &model, environment, workspace, (bake, session)).inspect_err(|_| bake.clean_up())?;
     let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
-    let solved = authored::irradiance(backend.as_mut(), &texels, &surfaces, &bounces, &checkpoints, session.console)
-        .inspect_err(|e| session.goes_on(e, &checkpoints, &bake.partial()))?;
-    let unfinished = solved.unfinished(&model, tolerance, options.bounces.is_some());
-    let (baked, console) = (&solved.solution, session.console);
-    let unlit = authored::unlit(backend.as_mut(), &model, &texels, &surfaces, baked, console)?;
-    for warning in unfinished.iter().chain(&unlit) {
-        console.warn(&format!("{}: {warning}", bake.input.display()));
-    }
-    drop(surfaces);
-    bake.write(&solved.solution, &texels, session)?;
-    let attached = match bake.profile() {
-        moz @ Profile::Moz => Some(moz.lightmap(&solved.solution.map(&texels, bake.buried())?)),
-        _ => None,
-    };
-    write_lightmapped_glb(&glb, &bake.input, &model, attached.as_ref())?;
-    let (buried, valid, rays) = (solved.solution.buried()?, texels.valid(), solved.solution.rays);
-    drop((solved.solution, texels));
+    let light = Light { texels, surfaces, bounces };
+    let summary = solve(backend.as_mut(), &model, light, &checkpoints, (bake, session))
+        .inspect_err(|failure| session.goes_on(failure, &checkpoints, &bake.partial()))?;
     checkpoints.finish();
-    let summary = Summary {
-        output: bake.output.clone(),
-        scene: glb,
-        width,
-        height,
-        texels: valid,
-        buried,
-        rays,
-        remainder: Some(solved.remainder.of_all).filter(|share| share.is_finite()),
-        remainder_of_a_part: solved.remainder.of_a_part,
-        series: solved.series,
-    };
     session.print(&summary, || {
         let bounces = summary.series.len() - 1;
         let left = match summary.remainder {
@@ -166,6 +138,52 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     })
 }
 
+/// What is to be solved for.
+struct Light {
+    texels: Texels<'static>,
+    surfaces: Surfaces,
+    bounces: Bounces,
+}
+
+/// Bakes direct light and bounces, and writes the map and the scene with it.
+fn solve(
+    backend: &mut dyn Backend,
+    model: &Model,
+    light: Light,
+    checkpoints: &Checkpoints,
+    (bake, session): (&Bake, &Session<'_>),
+) -> Result<Summary, Failure> {
+    let Light { texels, surfaces, bounces } = light;
+    let (options, console) = (&bake.authored, session.console);
+    let solved = authored::irradiance(backend, &texels, &surfaces, &bounces, checkpoints, console)?;
+    let unfinished = solved.unfinished(model, bounces.tolerance, options.bounces.is_some());
+    let unlit = authored::unlit(backend, model, &texels, &surfaces, &solved.solution, console)?;
+    for warning in unfinished.iter().chain(&unlit) {
+        console.warn(&format!("{}: {warning}", bake.input.display()));
+    }
+    drop(surfaces);
+    bake.write(&solved.solution, &texels, session)?;
+    let attached = match bake.profile() {
+        moz @ Profile::Moz => Some(moz.lightmap(&solved.solution.map(&texels, bake.buried())?)),
+        _ => None,
+    };
+    let scene = bake.output.with_extension("glb");
+    write_lightmapped_glb(&scene, &bake.input, model, attached.as_ref())?;
+    let [width, height] = model.size;
+    Ok(Summary {
+        output: bake.output.clone(),
+        scene,
+        width,
+        height,
+        texels: texels.valid(),
+        buried: solved.solution.buried()?,
+        rays: solved.solution.rays,
+        remainder: Some(solved.remainder.of_all).filter(|share| share.is_finite()),
+        remainder_of_a_part: solved.remainder.of_a_part,
+        series: solved.series,
+    })
+}
+
 /// The texels of the map, and what is on them.
 fn prepare(
     backend: &mut dyn Backend,
@@ -174,8 +192,7 @@ fn prepare(
     workspace: Workspace,
     (bake, session): (&Bake, &Session<'_>),
 ) -> Result<(Texels<'static>, Surfaces), Failure> {
-    let texels = Texels::map(backend, model.size, workspace, session.console)?;
-    bake.warn_of_crowding(backend, model.size, session)?;
+    let texels = bake.map(backend, model.size, workspace, session)?;
     let surfaces = model.surfaces(backend, &texels, environment)?;
     surfaces.check(&texels).context(bake.input.display())?;
     if surfaces.is_dark() {

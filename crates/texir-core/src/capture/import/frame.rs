@@ -4,14 +4,10 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat4, DQuat, DVec3, Vec3};
 
-use super::{ImportOptions, Source};
+use super::{ImportOptions, Source, up};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
-
-/// Cameras are held level more or less: when their mean up direction is this close to an axis, in degrees, the axis is
-/// meant.
-const SNAP_DEGREES: f64 = 10.0;
 
 /// Metres that a unit of a source may be.
 const UNITS: RangeInclusive<f64> = 1e-6..=1e6;
@@ -26,12 +22,11 @@ pub(super) struct Similarity {
 impl Similarity {
     /// What the user says, else what the format says, else what the cameras tell; adds to `assumed` how it came about.
     pub(super) fn of(source: &Source, options: &ImportOptions, assumed: &mut Vec<String>) -> Result<Self> {
-        let up = match (options.up, source.up) {
+        let (direction, why) = match (options.up, source.up) {
             (Some(up), _) => given(up, "as told")?,
             (None, Some(up)) => given(up, "the format's convention")?,
-            (None, None) => from_cameras(source)?,
+            (None, None) => up::from_cameras(source.shots.iter().map(|shot| &shot.view.camera))?,
         };
-        let (direction, why) = up;
         let [x, y, z] = direction.to_array();
         assumed.push(format!("up is ({x:.3}, {y:.3}, {z:.3}) of the source ({why}); it becomes +Z"));
         let (metres_per_unit, why) = match (options.metres_per_unit, source.metres_per_unit) {
@@ -74,20 +69,6 @@ impl Similarity {
 fn given(up: Vec3, why: &'static str) -> Result<(DVec3, &'static str)> {
     let direction = up.as_dvec3().try_normalize();
     direction.map(|d| (d, why)).ok_or_else(|| Error::invalid(format!("up is {up}; expected a direction")))
-}
-
-/// The mean of the cameras' own up directions, or the axis that is near it.
-fn from_cameras(source: &Source) -> Result<(DVec3, &'static str)> {
-    let sum: DVec3 = source.shots.iter().map(|s| s.view.camera.world_from_camera.y_axis.truncate().as_dvec3()).sum();
-    let mean = sum.try_normalize().ok_or_else(|| {
-        Error::invalid("the cameras do not tell what is up, and neither does the format: say it with --up")
-    })?;
-    let axes = [DVec3::Z, DVec3::Y, DVec3::X, DVec3::NEG_Z, DVec3::NEG_Y, DVec3::NEG_X];
-    let near = axes.into_iter().find(|axis| axis.dot(mean) > SNAP_DEGREES.to_radians().cos());
-    Ok(match near {
-        Some(axis) => (axis, "the axis nearest to the cameras' mean up direction"),
-        None => (mean, "the cameras' mean up direction; the format does not tell"),
-    })
 }
 
 /// The pose with OpenGL camera axes (y up, −z forward) of one with OpenCV's (y down, z forward).

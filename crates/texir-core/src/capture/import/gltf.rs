@@ -14,7 +14,7 @@ use crate::capture::{Shot, files};
 use crate::capture::{Split, View, pose};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;
-use crate::mesh_io::gltf::open;
+use crate::mesh_io::gltf::{for_each_node, open};
 
 /// See the module.
 pub(super) struct Gltf;
@@ -40,20 +40,13 @@ impl Importer for Gltf {
     fn read(&self, folder: &Path) -> Result<Source> {
         let path = scene(folder).ok_or_else(|| Error::file(folder, format!("does not hold {}", self.signature())))?;
         let document = open(&path)?.document;
-        let scene = document.default_scene().or_else(|| document.scenes().next());
-        let scene = scene.ok_or_else(|| Error::file(&path, "has no scene; expected one with cameras"))?;
-        let mut visited = vec![false; document.nodes().len()];
-        let mut stack: Vec<(Node, Mat4, Option<String>)> = scene.nodes().map(|n| (n, Mat4::IDENTITY, None)).collect();
+        let mut parent_names = vec![None; document.nodes().len()];
+        document.nodes().for_each(|node| node.children().for_each(|child| parent_names[child.index()] = node.name()));
         let mut shots = Vec::new();
-        while let Some((node, world_from_parent, parent)) = stack.pop() {
-            if std::mem::replace(&mut visited[node.index()], true) {
-                return Err(Error::file(&path, format!("node {} is reached twice; expected a tree", node.index())));
-            }
-            let world_from_node = world_from_parent * Mat4::from_cols_array_2d(&node.transform().matrix());
-            shots.extend(shot(&path, folder, &node, parent.as_deref(), world_from_node)?);
-            let name = node.name().map(str::to_owned);
-            stack.extend(node.children().map(|child| (child, world_from_node, name.clone())));
-        }
+        for_each_node(&path, &document, |node, world_from_node| {
+            shots.extend(shot(&path, folder, node, parent_names[node.index()], world_from_node)?);
+            Ok(())
+        })?;
         shots.sort_by(|a, b| a.view.name.cmp(&b.view.name));
         let names = files::view_names(shots.iter().map(|shot| shot.view.name.as_str()));
         shots.iter_mut().zip(names).for_each(|(shot, name)| shot.view.name = name);

@@ -14,6 +14,8 @@ mod nerfstudio;
 mod numbers;
 mod panoramas;
 mod texir_authors;
+mod truth;
+mod up;
 mod write;
 
 use std::path::{Path, PathBuf};
@@ -23,7 +25,7 @@ use glam::Vec3;
 pub use self::write::{Written, check_vacant, write};
 use super::Capture;
 use super::segment::Segmenter;
-use crate::capture::Shot;
+use crate::capture::{Shot, upright};
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
 use crate::mesh::Mesh;
@@ -159,6 +161,9 @@ pub fn read(folder: impl AsRef<Path>, options: &ImportOptions, progress: &dyn Pr
     if repeated > 0 {
         progress.warn(&format!("{}: {repeated} triangles are there twice, and dropped", mesh_path.display()));
     }
+    // Before anything is placed: what an exporter turned was the mesh alone, in the cameras' own frame.
+    let places = source.shots.iter().map(|shot| shot.view.camera.position());
+    let mesh = upright::among_cameras(&mesh_path, mesh, places, progress);
     let Source { mut shots, textures, mut assumed, .. } = source.clone();
     let texir_from_source = frame::Similarity::of(&source, options, &mut assumed)?;
     shots.iter_mut().for_each(|shot| shot.view.camera = texir_from_source.place_camera(&shot.view.camera));

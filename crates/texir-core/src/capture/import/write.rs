@@ -1,19 +1,21 @@
 //! A source as a capture folder.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::truth::{ALBEDO, Kind, ROUGHNESS, check_size, read_truth};
 use super::{Import, ImportOptions};
-use crate::atomic_file::{Stage, write_atomic};
+use crate::atomic_file::{Stage, is_unfinished, write_atomic};
 use crate::capture::Shot;
 use crate::capture::lens::Undistortion;
 use crate::capture::{View, nerfstudio};
 use crate::error::{Error, Result};
 use crate::image_io::{
-    TransferCurve, check_whole, is_encoded, read_encoded, read_gray, read_labels, read_mask, read_photo, read_rgb,
-    read_size, write_gray, write_png_labels, write_png_mask, write_rgb,
+    TransferCurve, check_whole, is_encoded, read_encoded, read_labels, read_mask, read_photo, read_rgb, read_size,
+    write_png_labels, write_png_mask, write_rgb,
 };
 use crate::mesh_io::obj;
 use crate::progress::{Progress, Task};
@@ -38,15 +40,20 @@ pub struct Written {
 }
 
 /// Errors unless `out` is a folder to come or an empty one: an import replaces nothing, least of all what it reads.
+/// What a killed run left there unfinished is in nobody's way.
 pub fn check_vacant(out: &Path) -> Result<()> {
-    let Ok(mut entries) = std::fs::read_dir(out) else { return Ok(()) };
-    match entries.next() {
-        Some(Ok(first)) => {
-            let what = format!("holds {} already; expected a new or empty folder", first.file_name().display());
+    match names(out).find(|name| !is_unfinished(name)) {
+        Some(first) => {
+            let what = format!("holds {} already; expected a new or empty folder", first.display());
             Err(Error::file(out, what))
         }
-        _ => Ok(()),
+        None => Ok(()),
     }
+}
+
+/// Names of what is in a folder, if it is one.
+fn names(folder: &Path) -> impl Iterator<Item = OsString> {
+    std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name())
 }
 
 /// Writes images (copied or linked where they need no change), textures, `mesh.obj` and `transforms.json`, to a folder
@@ -58,6 +65,13 @@ pub fn write(
     progress: &dyn Progress,
 ) -> Result<Written> {
     check_vacant(out.as_ref())?;
+    // They stay: a disk that machines share may not tell whether somebody still writes to them.
+    for name in names(out.as_ref()) {
+        progress.warn(&format!(
+            "{}: a run that was killed left it there, or one that goes on is writing to it: remove it once none is",
+            out.as_ref().join(name).display()
+        ));
+    }
     let stage = Stage::new(out.as_ref())?;
     let out = &stage.folder();
     let task = Task::start(progress, "import: views", import.shots.len() as u64, "views");
@@ -105,6 +119,8 @@ pub fn write(
         views.iter_mut().for_each(|view| view.classes = Some(classes.clone()));
     }
     nerfstudio::write_transforms(out.join(TRANSFORMS), &views)?;
+    // Another import may have come there meanwhile: the two would mix.
+    check_vacant(stage.target())?;
     stage.place_all(TRANSFORMS)?;
     Ok(written)
 }
@@ -156,6 +172,9 @@ impl Job<'_> {
             Some(_) => None,
             None => view.read_semantic()?,
         };
+        let truth = |kind: &Kind, from: Option<&Path>, to: PathBuf| {
+            from.map(|from| self.truth(kind, from, lens, size, to)).transpose()
+        };
         Ok(Converted {
             view: View {
                 name: view.name.clone(),
@@ -169,16 +188,8 @@ impl Job<'_> {
                     size,
                     file("room", "png"),
                 )?,
-                albedo: view
-                    .albedo
-                    .as_deref()
-                    .map(|from| self.albedo(from, lens, file("albedo", "exr")))
-                    .transpose()?,
-                roughness: view
-                    .roughness
-                    .as_deref()
-                    .map(|from| self.roughness(from, lens, file("roughness", "exr")))
-                    .transpose()?,
+                albedo: truth(&ALBEDO, view.albedo.as_deref(), file("albedo", "exr"))?,
+                roughness: truth(&ROUGHNESS, view.roughness.as_deref(), file("roughness", "exr"))?,
                 ..view.clone()
             },
             undistorted: lens.is_some(),
@@ -259,24 +270,22 @@ impl Job<'_> {
         Ok(Some(to))
     }
 
-    fn albedo(&self, from: &Path, lens: Option<&Undistortion>, to: PathBuf) -> Result<PathBuf> {
-        match lens {
-            Some(lens) => write_rgb(&to, &lens.smooth(&read_rgb(from)?))?,
-            None if is_encoded(from)? => write_rgb(&to, &read_encoded(from)?.decode(TransferCurve::Srgb).0)?,
-            None => self.bring(from, &to)?,
+    /// Ground truth at its new place.
+    fn truth(
+        &self,
+        kind: &Kind,
+        from: &Path,
+        lens: Option<&Undistortion>,
+        size: [usize; 2],
+        to: PathBuf,
+    ) -> Result<PathBuf> {
+        check_size(from, size)?;
+        if lens.is_none() && !is_encoded(from)? {
+            self.bring(from, &to)?;
+            return Ok(to);
         }
-        Ok(to)
-    }
-
-    fn roughness(&self, from: &Path, lens: Option<&Undistortion>, to: PathBuf) -> Result<PathBuf> {
-        match lens {
-            Some(lens) => {
-                let smooth = lens.smooth(&read_gray(from)?.map(|v| [*v]));
-                write_gray(&to, &smooth.map(|[v]| *v))?;
-            }
-            None if is_encoded(from)? => write_gray(&to, &read_encoded(from)?.values.map(|p| p[0]))?,
-            None => self.bring(from, &to)?,
-        }
+        let truth = read_truth(kind, from)?;
+        (kind.write)(&to, &lens.map_or_else(|| truth.clone(), |lens| lens.smooth(&truth)))?;
         Ok(to)
     }
 

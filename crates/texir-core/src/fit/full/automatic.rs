@@ -3,7 +3,7 @@
 //!
 //! Where semantics tell what things are, geometry and colour tell where one thing ends.
 
-use glam::Vec3A;
+use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::colours::Colours;
@@ -21,22 +21,22 @@ const SMALLEST: f32 = 0.1;
 /// A region faces where its mean normal points, if that is at least so long.
 const FACES: f32 = 0.7;
 
-/// What a region is like.
+/// What a region is like: sums over its texels, in double precision, as single precision would stop growing.
 #[derive(Clone, Copy, Default)]
 struct Region {
-    texels: f32,
-    colour: Vec3A,
-    normal: Vec3A,
+    texels: u32,
+    colour: DVec3,
+    normal: DVec3,
 }
 
 impl Region {
     fn mean_colour(&self) -> Vec3A {
-        self.colour / self.texels.max(1.0)
+        (self.colour / f64::from(self.texels.max(1))).as_vec3a()
     }
 
     /// Up, down, sideways, or all around.
     fn facing(&self) -> u16 {
-        let normal = self.normal / self.texels.max(1.0);
+        let normal = (self.normal / f64::from(self.texels.max(1))).as_vec3a();
         match normal.z {
             z if z > FACES => 0,
             z if z < -FACES => 1,
@@ -63,19 +63,19 @@ pub fn classes(
 
     let mut regions = vec![Region::default(); count];
     let surfaces = surface.iter().max().map_or(0, |last| *last as usize + 1);
-    let mut largest = vec![(0.0_f32, 0_u32); surfaces];
+    let mut largest = vec![(0_u32, 0_u32); surfaces];
     for (t, &r) in of.iter().enumerate().filter(|(t, _)| seen(*t)) {
         let region = &mut regions[r as usize];
-        region.texels += 1.0;
-        region.colour += albedo[t];
-        region.normal += Vec3A::from(atlas.points[t].normal);
+        region.texels += 1;
+        region.colour += albedo[t].as_dvec3();
+        region.normal += Vec3A::from(atlas.points[t].normal).as_dvec3();
         let largest = &mut largest[surface[t] as usize];
         if region.texels > largest.0 {
             *largest = (region.texels, r);
         }
     }
     let stands = |t: usize| {
-        let large = regions[of[t] as usize].texels * texel * texel >= SMALLEST;
+        let large = regions[of[t] as usize].texels as f32 * texel * texel >= SMALLEST;
         seen(t) && (large || largest[surface[t] as usize].1 == of[t])
     };
     let painted: Vec<Vec3A> = of.par_iter().map(|&r| regions[r as usize].mean_colour()).collect();

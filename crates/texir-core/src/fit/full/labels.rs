@@ -413,7 +413,7 @@ mod tests {
                 let Camera { width, height, .. } = view.camera;
                 let hits = backend.primary(&view.camera, view.camera.rows()).unwrap();
                 let shows = |(pixel, hit): (usize, &Hit)| {
-                    let direction = view.camera.direction((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5);
+                    let direction = view.camera.direction_of(pixel);
                     class(hit.triangle, view.camera.position() + direction * hit.t)
                 };
                 let labels = Labels::new(width, height, hits.iter().enumerate().map(shows).collect()).unwrap();

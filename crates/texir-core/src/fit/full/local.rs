@@ -74,19 +74,24 @@ impl Surface<'_> {
     }
 }
 
-/// Roughness of every texel from what it is by its segment and colour. `whole` is that of each segment, `blocks` what
-/// [`Surface::blocks`] holds, and `plain` the same of the pixels that see no joints: they say what roughness finishes
+/// What [`Surface::blocks`] holds by all pixels, and by those that see no joints: they say what roughness finishes
 /// have, and all of them together where.
+pub struct Said {
+    pub by_all: Vec<(Place, Halves)>,
+    pub by_plain: Vec<(Place, Halves)>,
+}
+
+/// Roughness of every texel from what it is by its segment and colour. `whole` is that of each segment.
 pub fn refine(
     surface: &Surface<'_>,
-    (blocks, plain): (&Blocks, &Blocks),
+    Said { by_all, by_plain }: &Said,
     whole: &[f32],
     roughness: &[f32],
     settings: &LocalSettings,
 ) -> Vec<f32> {
-    let segments: Vec<&Blocks> = blocks.chunk_by(|a, b| a.0.0 == b.0.0).collect();
+    let segments: Vec<&Blocks> = by_all.chunk_by(|a, b| a.0.0 == b.0.0).collect();
     let changes: BTreeMap<Place, f32> =
-        segments.into_par_iter().flat_map_iter(|blocks| two_finishes((blocks, plain), whole, settings)).collect();
+        segments.into_par_iter().flat_map_iter(|blocks| two_finishes(blocks, by_plain, whole, settings)).collect();
     let blended = |t: usize| {
         let (mut sum, mut weight) = (0.0, 0.0);
         for (place, near) in surface.between(t) {
@@ -100,8 +105,9 @@ pub fn refine(
     (0..roughness.len()).into_par_iter().map(blended).collect()
 }
 
-/// How many times as rough as their segment its blocks are; nothing where one finish is as good.
-fn two_finishes((blocks, plain): (&Blocks, &Blocks), whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
+/// How many times as rough as their segment its blocks are; nothing where one finish is as good. `by_plain` has those
+/// of all segments.
+fn two_finishes(blocks: &Blocks, by_plain: &Blocks, whole: &[f32], settings: &LocalSettings) -> Vec<(Place, f32)> {
     let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
     let neighbours = Neighbours::of(blocks);
     let pair = best_pair(&own, &neighbours);
@@ -113,8 +119,8 @@ fn two_finishes((blocks, plain): (&Blocks, &Blocks), whole: &[f32], settings: &L
         return Vec::new();
     }
     let of_plain = |(place, _): &(Place, Halves)| {
-        let block = plain.binary_search_by_key(place, |(place, _)| *place).ok();
-        block.map_or(Tally::default(), |block| Tally::sum(plain[block].1.iter()))
+        let block = by_plain.binary_search_by_key(place, |(place, _)| *place).ok();
+        block.map_or(Tally::default(), |block| Tally::sum(by_plain[block].1.iter()))
     };
     let plain = finishes(&blocks.iter().map(of_plain).collect::<Vec<_>>(), &rough);
     let whole = whole[blocks[0].0.0 as usize];

@@ -162,12 +162,14 @@ fn recover(
         half: &half,
         block: (settings.roughness.local.block / texel).round().max(2.0),
     };
-    let blocks = surface.blocks(&evidence);
     let without_joints = heaviest(seen, &lines.without(&seen.rows, &evidence.segment));
-    let plain = Surface { heaviest: &without_joints, ..surface }.blocks(&evidence);
+    let blocks = local::Said {
+        by_all: surface.blocks(&evidence),
+        by_plain: Surface { heaviest: &without_joints, ..surface }.blocks(&evidence),
+    };
     let palettes = problem.palettes(&albedo, &settings.palette);
     let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
-    let mut roughness = local::refine(&surface, (&blocks, &plain), &by_segment, &of_colours, &settings.roughness.local);
+    let mut roughness = local::refine(&surface, &blocks, &by_segment, &of_colours, &settings.roughness.local);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
     // Nothing from here on asks what pixels cost, a tenth of a large fit's memory.
     drop(evidence.cost);
@@ -196,7 +198,7 @@ fn recover(
     // What metal shows does not depend on irradiance.
     let depends = |t: usize| seen.is_seen[t] && problem.metal.get(t) != Some(&true);
     let corrected = with_what_albedo_gives_up(irradiance, (&albedo, &painted), depends);
-    let confidence = confidence::confidence(&surface, &blocks, &tallies, &roughness);
+    let confidence = confidence::confidence(&surface, &blocks.by_all, &tallies, &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
     let all = vec![true; painted.len()];
     let rgb = |values: &[Vec3A]| {
@@ -331,13 +333,14 @@ fn by_colour(
     evidence: &scan::Evidence,
     settings: &RoughnessSettings,
 ) -> Vec<f32> {
-    let most = palettes.most() as u32;
-    let colour: Vec<u32> =
-        (surface.segment, albedo).into_par_iter().map(|(s, a)| s * most + palettes.nearest(*s, *a) as u32).collect();
+    let starts = palettes.starts();
+    let of_texel = |(s, a): (&u32, &Vec3A)| starts[*s as usize] + palettes.nearest(*s, *a) as u32;
+    let colour: Vec<u32> = (surface.segment, albedo).into_par_iter().map(of_texel).collect();
     let of_pixel = |(&t, &half): (&u32, &u8)| if t == NONE { NONE } else { 2 * colour[t as usize] + u32::from(half) };
     let group: Vec<u32> = surface.heaviest.par_iter().zip(surface.half).map(of_pixel).collect();
-    let halves = evidence.by_group(Partition { of: &group, count: 2 * most as usize * by_segment.len() });
-    let parents = by_segment.iter().flat_map(|r| repeat_n(*r, most as usize));
+    let halves = evidence.by_group(Partition { of: &group, count: 2 * *starts.last().unwrap_or(&0) as usize });
+    let colours = starts.windows(2).map(|ends| (ends[1] - ends[0]) as usize);
+    let parents = by_segment.iter().zip(colours).flat_map(|(r, colours)| repeat_n(*r, colours));
     let own: Vec<f32> =
         halves.as_chunks().0.iter().zip(parents).map(|(said, r)| own::of_part(said, r, &settings.colours)).collect();
     colour.iter().map(|&g| own[g as usize]).collect()

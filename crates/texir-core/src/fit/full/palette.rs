@@ -5,8 +5,9 @@
 //! them is more likely to be lit differently than painted differently.
 
 use std::collections::BTreeMap;
+use std::iter::once;
 
-use glam::{IVec3, Vec3A};
+use glam::{DVec3, IVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::partition::Partition;
@@ -31,17 +32,18 @@ impl Palettes {
         seen: impl Fn(usize) -> bool,
         settings: &PaletteSettings,
     ) -> Self {
-        let mut cells: Vec<BTreeMap<[i32; 3], (Vec3A, f32)>> = vec![BTreeMap::new(); segment.count];
+        // In single precision, sums of millions would stop growing.
+        let mut cells: Vec<BTreeMap<[i32; 3], (DVec3, u32)>> = vec![BTreeMap::new(); segment.count];
         for (t, &s) in segment.of.iter().enumerate().filter(|(t, _)| seen(*t)) {
             let colour = log(albedo[t]);
             let key: IVec3 = (colour / (0.5 * settings.bandwidth)).floor().as_ivec3();
             let (sum, count) = cells[s as usize].entry(key.to_array()).or_default();
-            *sum += colour;
-            *count += 1.0;
+            *sum += colour.as_dvec3();
+            *count += 1;
         }
-        let modes = |cells: &BTreeMap<[i32; 3], (Vec3A, f32)>| {
-            let cells: Vec<(Vec3A, f32)> = cells.values().map(|&(sum, count)| (sum / count, count)).collect();
-            modes(&cells, settings)
+        let modes = |cells: &BTreeMap<[i32; 3], (DVec3, u32)>| {
+            let cell = |&(sum, count): &(DVec3, u32)| ((sum / f64::from(count)).as_vec3a(), count as f32);
+            modes(&cells.values().map(cell).collect::<Vec<_>>(), settings)
         };
         Self(cells.par_iter().map(modes).collect())
     }
@@ -64,9 +66,14 @@ impl Palettes {
         exp(colour + pull * (*mode - colour)).clamp(Vec3A::ZERO, Vec3A::ONE)
     }
 
-    /// The largest number of colours of a segment, at least 1.
-    pub fn most(&self) -> usize {
-        self.0.iter().map(Vec::len).max().unwrap_or(0).max(1)
+    /// Where the colours of each segment begin, if those of all are numbered in turn, and at last how many there are. A
+    /// segment without any has one.
+    pub fn starts(&self) -> Vec<u32> {
+        let ends = self.0.iter().scan(0, |end, colours| {
+            *end += colours.len().max(1) as u32;
+            Some(*end)
+        });
+        once(0).chain(ends).collect()
     }
 }
 

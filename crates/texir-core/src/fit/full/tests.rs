@@ -443,7 +443,7 @@ fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
     let mut albedo: Vec<Vec3A> = (0..200).map(|t| if t % 3 == 0 { red } else { blue } * off(t)).collect();
     albedo.push(odd);
     let palettes = Palettes::find(&albedo, Partition { of: &vec![0; 201], count: 1 }, |_| true, &settings);
-    assert_eq!(palettes.most(), 2);
+    assert_eq!(palettes.starts(), [0, 2]);
     let spread = |albedo: &dyn Fn(usize) -> Vec3A| {
         (0..200).map(|t| (albedo(t) / if t % 3 == 0 { red } else { blue } - 1.0).abs().max_element()).sum::<f32>()
     };
@@ -456,7 +456,7 @@ fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
 
 #[test]
 fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
-    use super::local::{Surface, refine};
+    use super::local::{Said, Surface, refine};
     use super::scan::Evidence;
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
@@ -490,7 +490,7 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     };
     let by = |surface: &Surface<'_>, evidence: &Evidence, settings: &LocalSettings| {
         let blocks = surface.blocks(evidence);
-        refine(surface, (&blocks, &blocks), &[0.2], &[0.2; 1024], settings)
+        refine(surface, &Said { by_all: blocks.clone(), by_plain: blocks }, &[0.2], &[0.2; 1024], settings)
     };
     // By default a finish must have 500 pixels, about as many as each has here.
     let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
@@ -537,7 +537,7 @@ fn of_one_segment(cost: Vec<[half::f16; NODES]>) -> Evidence {
 
 #[test]
 fn the_blocks_of_a_face_speak_for_each_other() {
-    use super::local::{Surface, refine};
+    use super::local::{Said, Surface, refine};
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
     // Two walls of 10 blocks: one of 0.1, of which two blocks look like the other's 0.4 to both halves of the views.
@@ -558,7 +558,13 @@ fn the_blocks_of_a_face_speak_for_each_other() {
             Surface { width: 60, texels: &texels, segment: &segment, face, heaviest: &texels, half: &half, block: 6.0 };
         let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
         let blocks = surface.blocks(&evidence);
-        refine(&surface, (&blocks, &blocks), &[0.2], &vec![0.2; texels.len()], &settings)
+        refine(
+            &surface,
+            &Said { by_all: blocks.clone(), by_plain: blocks },
+            &[0.2],
+            &vec![0.2; texels.len()],
+            &settings,
+        )
     };
     let walls: Vec<u32> = texels.iter().map(|t| u32::from(column(*t) >= 30)).collect();
     let roughness = by_face(&walls);
@@ -571,7 +577,7 @@ fn the_blocks_of_a_face_speak_for_each_other() {
 
 #[test]
 fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
-    use super::local::{Surface, refine};
+    use super::local::{Said, Surface, refine};
     use crate::fit::settings::LocalSettings;
     use crate::specular_table::{NODES, node};
     // 0.1 on the left, 0.3 on the right; what pixels see of every third column is twice as rough, for the joint in it.
@@ -598,8 +604,13 @@ fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
         };
         let plain = Surface { heaviest: &heaviest, ..surface }.blocks(&evidence);
         let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
-        let roughness =
-            refine(&surface, (&surface.blocks(&evidence), &plain), &[0.17], &vec![0.17; texels.len()], &settings);
+        let roughness = refine(
+            &surface,
+            &Said { by_all: surface.blocks(&evidence), by_plain: plain },
+            &[0.17],
+            &vec![0.17; texels.len()],
+            &settings,
+        );
         [8, 56].map(|column| roughness[(12 * WIDTH + column) as usize])
     };
     let [left, right] = refined(&|t| !is_joint(t));

@@ -75,7 +75,8 @@ impl Surroundings<'_> {
         let used: Vec<u32> = (0..hits.len() as u32)
             .filter(|&i| {
                 let hit = &hits[i as usize];
-                hit.is_hit() && usable.data[i as usize] && !self.is_emitter(hit.uv(scene.mesh()))
+                let is_front = || hit.is_front(scene.mesh(), -view.camera.direction_of(i as usize));
+                usable.data[i as usize] && hit.is_hit() && is_front() && !self.is_emitter(hit.uv(scene.mesh()))
             })
             .collect();
         let fine = view.camera.supersampled(self.footprint_samples);

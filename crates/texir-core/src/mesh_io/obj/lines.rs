@@ -88,6 +88,10 @@ impl<R: BufRead> Lines<R> {
             self.indices.defined[kind] += 1;
         } else if first == "f" || first == "l" {
             let form = Form::of(words.clone());
+            if words.clone().next().is_none() {
+                let wrong = || format!("line {}: an `{first}` line has no vertices", self.number);
+                self.indices.wrong.get_or_insert_with(wrong);
+            }
             self.indices.note(words, self.number);
             if let Some(wrong) = &self.indices.wrong {
                 return Err(Error::other(wrong.clone()));

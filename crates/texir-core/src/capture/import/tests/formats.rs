@@ -5,6 +5,7 @@ use serde_json::json;
 use super::*;
 use crate::capture::Tbl;
 use crate::capture::tests::Warnings;
+use crate::glb::{Materials, Up, write_glb};
 use crate::image_io::{read_labels, read_mask, write_gray, write_png_labels, write_png_rgb};
 use crate::raster::{Gray, Labels, Raster};
 
@@ -61,13 +62,18 @@ fn colmap_text_and_binary() {
 }
 
 #[test]
-fn colmap_without_an_axis_near_up_takes_the_cameras_word_for_it() {
+fn colmap_without_an_axis_that_may_be_up_takes_the_cameras_word_for_it() {
+    // One that is far from all axes, and one that is 6° from −Y, farther than the cameras' mean can be off.
+    for up in [Vec3::new(1.0, 1.0, 1.0).normalize(), Vec3::new(0.105, -0.995, 0.0).normalize()] {
+        let folder = colmap(up, true);
+        let read = super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
+        assert_says(&read.assumed.join("\n"), &["the cameras' mean up direction; the format"]);
+        let heights: Vec<f32> = read.mesh.positions.iter().map(|p| p.z).collect();
+        let level = heights[..4].iter().all(|z| z.abs() < 0.1) && heights[4..].iter().all(|z| (z - 2.5).abs() < 0.1);
+        assert!(level, "{up}: {heights:?}");
+    }
     let up = Vec3::new(1.0, 1.0, 1.0).normalize();
     let folder = colmap(up, true);
-    let read = super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
-    assert_says(&read.assumed.join("\n"), &["the cameras' mean up direction"]);
-    let heights: Vec<f32> = read.mesh.positions.iter().map(|p| p.z).collect();
-    assert!(heights[..4].iter().all(|z| z.abs() < 0.1) && heights[4..].iter().all(|z| (z - 2.5).abs() < 0.1));
     let options = ImportOptions { up: Some(up), ..ImportOptions::default() };
     let told = super::super::read(folder.path(), &options, &Silent).unwrap();
     assert!((told.mesh.positions[4].z - 2.5).abs() < 1e-5);
@@ -365,6 +371,58 @@ fn gltf_cameras_and_panoramas() {
     }
 }
 
+/// [`gltf`] with cameras, its document changed.
+fn changed_gltf(change: impl FnOnce(&mut serde_json::Value)) -> TempDir {
+    let folder = gltf(true);
+    let path = folder.path().join("scene.gltf");
+    let mut document = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    change(&mut document);
+    std::fs::write(path, document.to_string()).unwrap();
+    folder
+}
+
+#[test]
+fn gltf_rotations_of_any_length_turn_cameras_and_mesh_alike() {
+    let turned = |turn: DQuat| {
+        let folder = changed_gltf(|document| {
+            let node = json!({"rotation": turn.to_array(), "children": [0, 1, 2, 3, 4]});
+            document["nodes"].as_array_mut().unwrap().push(node);
+            document["scenes"][0]["nodes"] = json!([5]);
+        });
+        let read = super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
+        (read.shots.iter().map(|shot| shot.view.camera).collect::<Vec<_>>(), read.mesh.positions)
+    };
+    let turn = DQuat::from_rotation_y(0.7);
+    let [(unit_cameras, unit_mesh), (cameras, mesh)] = [turn, turn * 1.05].map(turned);
+    assert_cameras(&cameras, &unit_cameras);
+    assert!(mesh.iter().zip(&unit_mesh).all(|(p, unit)| p.distance(*unit) < 1e-5));
+    // Negative control: it did turn.
+    let (plain, _) = turned(DQuat::IDENTITY);
+    assert!(plain[0].world_from_camera.w_axis.distance(cameras[0].world_from_camera.w_axis) > 0.1);
+}
+
+#[test]
+fn gltf_cameras_may_have_their_parents_names() {
+    let folder = changed_gltf(|document| {
+        document["cameras"][0]["perspective"].as_object_mut().unwrap().remove("aspectRatio");
+        let nodes = document["nodes"].as_array_mut().unwrap();
+        for i in 1..=poses().len() {
+            nodes[i].as_object_mut().unwrap().remove("camera");
+            nodes[i]["children"] = json!([nodes.len()]);
+            nodes.push(json!({"camera": 0}));
+        }
+    });
+    // An image twice as wide as high would make a panorama of the parent.
+    for i in 0..poses().len() {
+        write_rgb(folder.path().join(format!("images/View.00{i}.exr")), &Rgb::filled(6, 4, [1.0; 3])).unwrap();
+    }
+    let views = |folder: &TempDir| -> Vec<_> {
+        let read = super::super::read(folder.path(), &ImportOptions::default(), &Silent).unwrap();
+        read.shots.into_iter().map(|shot| (shot.view.name, shot.view.camera.world_from_camera)).collect()
+    };
+    assert_eq!(views(&folder), views(&gltf(true)));
+}
+
 /// The scene as texir's own capture.
 pub(super) fn nerfstudio() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -439,6 +497,94 @@ fn an_import_replaces_nothing_and_leaves_nothing_half_done() {
     std::fs::write(&image, before).unwrap();
     into(&root.path().join("new")).unwrap();
     assert!(root.path().join("new/hdr/v1.exr").is_file() && root.path().join("new/transforms.json").is_file());
+}
+
+#[test]
+fn what_a_killed_import_left_is_in_no_imports_way() {
+    let source = nerfstudio();
+    let read = super::super::read(source.path(), &ImportOptions::default(), &Silent).unwrap();
+    let (out, warnings) = (tempfile::tempdir().unwrap(), Warnings::default());
+    let left = out.path().join(".texir-78yUj9/new/hdr/v1.exr");
+    std::fs::create_dir_all(left.parent().unwrap()).unwrap();
+    std::fs::write(&left, "half an image").unwrap();
+    check_vacant(out.path()).unwrap();
+    write(&read, out.path(), &ImportOptions::default(), &warnings).unwrap();
+    assert!(crate::capture::load(out.path(), &Default::default(), &Silent).is_ok());
+    // It may as well be one that goes on.
+    assert!(left.is_file());
+    let warnings = warnings.all();
+    assert!(warnings.len() == 1, "{warnings:?}");
+    assert_says(&warnings[0], &[".texir-78yUj9", "killed", "remove it"]);
+    // Negative control: what is somebody's is in the way.
+    let out = tempfile::tempdir().unwrap();
+    std::fs::create_dir(out.path().join(".git")).unwrap();
+    assert_says(&check_vacant(out.path()).unwrap_err().to_string(), &["holds .git already", "new or empty folder"]);
+}
+
+/// Puts a mesh into a folder as soon as there is progress.
+struct Meanwhile<'a>(&'a Path);
+
+impl Progress for Meanwhile<'_> {
+    fn start(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {
+        std::fs::create_dir_all(self.0).unwrap();
+        std::fs::write(self.0.join("mesh.obj"), "another's").unwrap();
+    }
+    fn finish(&self) {}
+    fn warn(&self, _: &str) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn an_import_does_not_mix_with_what_came_meanwhile() {
+    let source = nerfstudio();
+    let read = super::super::read(source.path(), &ImportOptions::default(), &Silent).unwrap();
+    let root = tempfile::tempdir().unwrap();
+    for (name, exists) in [("new", false), ("empty", true)] {
+        let out = root.path().join(name);
+        if exists {
+            std::fs::create_dir(&out).unwrap();
+        }
+        let refused = write(&read, &out, &ImportOptions::default(), &Meanwhile(&out)).unwrap_err().to_string();
+        assert_says(&refused, &[name, "holds mesh.obj already"]);
+        assert_eq!(std::fs::read_to_string(out.join("mesh.obj")).unwrap(), "another's");
+        assert_eq!(std::fs::read_dir(&out).unwrap().count(), 1, "{name}");
+    }
+}
+
+/// Exports the folder's `mesh.obj` as `mesh.glb`, as modellers do: what was +Z up there is +Y up.
+fn export_mesh(folder: &TempDir) {
+    let path = folder.path().join("mesh.obj");
+    let mesh = read_surface(&path).unwrap().0.mesh;
+    std::fs::remove_file(&path).unwrap();
+    let (albedo, roughness) = (Rgb::filled(2, 2, [0.5; 3]), Gray::filled(2, 2, 0.5));
+    let materials = Materials { albedo: &albedo, roughness: &roughness, metallic: None, emission: None };
+    write_glb(path.with_extension("glb"), &mesh, &materials, Up::Z).unwrap();
+}
+
+#[test]
+fn a_mesh_that_an_exporter_laid_on_its_side_is_turned_by_an_import_as_by_a_load() {
+    let is_turned = |mesh: &Mesh, warnings: Warnings| {
+        let told = warnings.all().iter().filter(|w| w.contains("mesh.glb: is taken as +Y up")).count();
+        let true_mesh = mesh.positions.iter().zip(super::mesh().positions).all(|(a, b)| a.abs_diff_eq(b, 1e-5));
+        assert!(told == 1 && true_mesh, "{told} {:?}", mesh.positions);
+    };
+    let capture = nerfstudio();
+    export_mesh(&capture);
+    let warnings = Warnings::default();
+    let loaded = crate::capture::load(capture.path(), &Default::default(), &warnings).unwrap();
+    is_turned(&loaded.mesh, warnings);
+    // In the frame of the cameras, whichever that is.
+    for folder in [capture, colmap(Vec3::Z, true), colmap(Vec3::NEG_Y, true)] {
+        if folder.path().join("mesh.obj").is_file() {
+            export_mesh(&folder);
+        }
+        let warnings = Warnings::default();
+        let read = super::super::read(folder.path(), &ImportOptions::default(), &warnings).unwrap();
+        is_turned(&read.mesh, warnings);
+    }
 }
 
 #[test]

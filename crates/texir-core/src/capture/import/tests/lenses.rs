@@ -2,6 +2,8 @@
 
 use super::*;
 use crate::capture::lens::Undistortion;
+use crate::image_io::{encode_srgb, write_gray, write_png_gray, write_png_rgb};
+use crate::raster::Gray;
 
 const PHOTO: (usize, usize) = (160, 120);
 
@@ -103,6 +105,87 @@ fn a_lens_that_folds_back_is_cut_where_it_does_and_a_hopeless_one_is_refused() {
     assert!(Undistortion::new(&camera(), inside_out).is_none_or(|u| u.pinhole.pixels() <= 16 * PHOTO.0 * PHOTO.1));
     let beside = Projection::Pinhole { fx: 96.0, fy: 92.0, cx: -300.0, cy: 57.5 };
     assert!(Undistortion::new(&Camera { projection: beside, ..camera() }, lenses()[0]).is_none());
+}
+
+/// Writes `transforms.json` for the one view of a folder, taken through the first of the lenses or through none, with
+/// ground truth in these files, and a mesh.
+fn write_capture(root: &Path, lens: bool, [albedo, roughness]: [&str; 2]) {
+    let view = View {
+        albedo: Some(root.join(albedo)),
+        roughness: Some(root.join(roughness)),
+        ..View::new("v".to_owned(), camera(), Split::Train, root.join("v.exr"))
+    };
+    let path = root.join("transforms.json");
+    crate::capture::nerfstudio::write_transforms(&path, &[view]).unwrap();
+    let mut document: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    if lens {
+        document["camera_model"] = "OPENCV".into();
+        (document["k1"], document["k2"]) = ((-0.28).into(), 0.07.into());
+    }
+    std::fs::write(path, document.to_string()).unwrap();
+    write_mesh(&root.join("mesh.obj"), Vec3::Z, 1.0);
+}
+
+#[test]
+fn ground_truth_goes_through_the_lens_however_it_is_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let photo = photo(&lenses()[0]);
+    write_rgb(root.join("v.exr"), &photo).unwrap();
+    let (albedo, roughness) = (photo.map(|p| p.map(|v| v / 6.0)), photo.map(|p| p[2] / 6.0));
+    write_rgb(root.join("albedo.exr"), &albedo).unwrap();
+    write_gray(root.join("roughness.exr"), &roughness).unwrap();
+    write_png_rgb(root.join("albedo.png"), &encode_srgb(&albedo)).unwrap();
+    write_png_gray(root.join("roughness.png"), &roughness).unwrap();
+    for (lens, files) in [
+        (true, ["albedo.exr", "roughness.exr"]),
+        (true, ["albedo.png", "roughness.png"]),
+        (false, ["albedo.exr", "roughness.exr"]),
+        (false, ["albedo.png", "roughness.png"]),
+    ] {
+        write_capture(root, lens, files);
+        let read = read(root, &ImportOptions::default(), &Silent).unwrap();
+        let out = tempfile::tempdir().unwrap();
+        write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap();
+        let capture = crate::capture::load(out.path(), &Default::default(), &Silent).unwrap();
+        let view = &capture.views[0];
+        // Whatever the pixel shows, they show it too.
+        let image = view.load_image(&Silent).unwrap();
+        let (albedo, roughness) = (view.load_albedo().unwrap().unwrap(), view.load_roughness().unwrap().unwrap());
+        assert_eq!((albedo.size(), roughness.size()), (image.size(), image.size()), "{files:?}");
+        for (i, pixel) in image.data.iter().enumerate() {
+            let off = (0..3).map(|c| (albedo.data[i][c] - pixel[c] / 6.0).abs()).fold(0.0, f32::max);
+            assert!(off < 0.01, "{files:?}, lens {lens}: pixel {i} is {:?}", albedo.data[i]);
+            let off = (roughness.data[i] - pixel[2] / 6.0).abs();
+            assert!(off < 0.01, "{files:?}, lens {lens}: pixel {i} is {}", roughness.data[i]);
+        }
+    }
+}
+
+#[test]
+fn ground_truth_of_another_size_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let (width, height) = PHOTO;
+    write_rgb(root.join("v.exr"), &photo(&lenses()[0])).unwrap();
+    write_rgb(root.join("albedo.exr"), &Rgb::filled(width, height, [0.5; 3])).unwrap();
+    write_gray(root.join("roughness.exr"), &Gray::filled(width, height, 0.5)).unwrap();
+    let half = Rgb::filled(width / 2, height / 2, [0.5; 3]);
+    write_rgb(root.join("half.exr"), &half).unwrap();
+    write_png_rgb(root.join("half.png"), &encode_srgb(&half)).unwrap();
+    for (lens, files) in [
+        (true, ["half.exr", "roughness.exr"]),
+        (true, ["albedo.exr", "half.exr"]),
+        (true, ["albedo.exr", "half.png"]),
+        (false, ["half.exr", "roughness.exr"]),
+        (false, ["half.png", "roughness.exr"]),
+    ] {
+        write_capture(root, lens, files);
+        let read = read(root, &ImportOptions::default(), &Silent).unwrap();
+        let out = tempfile::tempdir().unwrap();
+        let refused = write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap_err().to_string();
+        assert_says(&refused, &["half.", "ground truth", "80×60", "expected 160×120", "resize it"]);
+    }
 }
 
 #[test]
