@@ -42,7 +42,7 @@ pub struct Eval {
 }
 
 impl Eval {
-    /// Evaluates, writes `metrics.json` unless the mesh is another, prints the table.
+    /// Evaluates, prints the table, writes `metrics.json` unless the mesh is another.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let mut output = FitOutput::load(&self.out, session.console)?;
         if let Some(path) = &self.mesh {
@@ -50,6 +50,8 @@ impl Eval {
         }
         let capture = load_capture(&self.out, self.capture.as_deref(), session)?;
         let evaluation = of_output(&output, &capture, self.spp, session, &mut |_| ())?;
+        // What was waited for is told also where the folder cannot be written to.
+        session.print(&evaluation, || figures::text(&evaluation))?;
         if self.mesh.is_none() {
             write_metrics(&self.out, &evaluation)?;
             let report = self.out.join(REPORT);
@@ -59,7 +61,7 @@ impl Eval {
                     .note(&format!("{}: shows an earlier evaluation; `texir report` makes it anew", report.display()));
             }
         }
-        session.print(&evaluation, || figures::text(&evaluation))
+        Ok(())
     }
 }
 

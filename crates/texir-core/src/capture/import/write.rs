@@ -285,7 +285,11 @@ impl Job<'_> {
             return Ok(to);
         }
         let truth = read_truth(kind, from)?;
-        (kind.write)(&to, &lens.map_or_else(|| truth.clone(), |lens| lens.smooth(&truth)))?;
+        let truth = match lens {
+            Some(lens) => lens.smooth(&truth),
+            None => truth,
+        };
+        (kind.write)(&to, &truth)?;
         Ok(to)
     }
 
