@@ -10,6 +10,7 @@ use texir_core::atlas::Atlas;
 use texir_core::authored::{Bounces, Model, Reflected, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{Baked, Denoiser, PADDING, Quality, Texels};
+use texir_core::brdf::Masking;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
 use texir_core::cpu::irradiance::cosine_direction;
@@ -22,6 +23,7 @@ use texir_core::real::V3;
 use texir_core::rng::hash2;
 use texir_core::scene::Scene;
 use texir_core::scene::trace::{Exhaustive, Trace};
+use texir_core::specular_albedo::specular_albedo;
 use texir_core::surface::SurfacePoint;
 use texir_gpu::GpuBackend;
 use texir_tests::compare::Tolerance;
@@ -348,8 +350,10 @@ fn materials_mean_what_the_specification_says() {
 
 #[test]
 fn dielectrics_reflect_more_than_their_base_colour_where_that_is_asked_for() {
-    let reflects = |metal: f32, image: Option<[u8; 3]>, reflected| {
-        let mut base = json!({ "baseColorFactor": [0.5, 0.25, 0.97, 1.0], "metallicFactor": metal });
+    let reflects = |[roughness, metal]: [f32; 2], image: Option<[u8; 3]>, reflected| {
+        let mut base = json!({
+            "baseColorFactor": [0.5, 0.25, 0.97, 1.0], "roughnessFactor": roughness, "metallicFactor": metal
+        });
         if image.is_some() {
             base["metallicRoughnessTexture"] = json!({ "index": 0 });
         }
@@ -359,13 +363,16 @@ fn dielectrics_reflect_more_than_their_base_colour_where_that_is_asked_for() {
     let near = |found: [f32; 3], expected: [f32; 3]| {
         assert!(Vec3::from(found).abs_diff_eq(expected.into(), 1e-4), "{found:?} where {expected:?} is expected");
     };
-    near(reflects(0.0, None, Reflected::Diffusely), [0.5, 0.25, 0.97]);
-    near(reflects(0.0, None, Reflected::InAll), [0.56, 0.31, 1.0]);
-    near(reflects(1.0, None, Reflected::InAll), [0.5, 0.25, 0.97]);
-    // The texture's blue is how much of a metal it is, as it stands: three quarters are 191, and not what sRGB makes of
-    // it.
-    let mixed = 0.06 * (1.0 - 191.0 / 255.0);
-    near(reflects(1.0, Some([255, 255, 191]), Reflected::InAll), [0.5 + mixed, 0.25 + mixed, 0.97 + mixed]);
+    let specular = |roughness: f32| specular_albedo(Masking::Smith, roughness);
+    near(reflects([0.2, 0.0], None, Reflected::Diffusely), [0.5, 0.25, 0.97]);
+    near(reflects([0.2, 0.0], None, Reflected::InAll), [0.5 + specular(0.2), 0.25 + specular(0.2), 1.0]);
+    near(reflects([1.0, 0.0], None, Reflected::InAll), [0.5, 0.25, 0.97].map(|colour| colour + specular(1.0)));
+    near(reflects([0.2, 1.0], None, Reflected::InAll), [0.5, 0.25, 0.97]);
+    // The texture's green is how rough it is and its blue how much of a metal, as they stand: two fifths are 102, three
+    // quarters 191, and not what sRGB makes of them. (Red says nothing.)
+    let mixed = specular(0.2) * (1.0 - 191.0 / 255.0);
+    let found = reflects([0.5, 1.0], Some([255, 102, 191]), Reflected::InAll);
+    near(found, [0.5 + mixed, 0.25 + mixed, 0.97 + mixed]);
 }
 
 #[test]
