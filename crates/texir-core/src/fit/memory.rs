@@ -53,8 +53,7 @@ pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usiz
 
 /// The views as the fit reads them: reduced so far that they have at most four pixels per texel together, and that the
 /// fit keeps to `settings.max_memory`; as many of them less far, by the next number that leaves them whole, as that
-/// allows. Errors when the textures alone
-/// exceed it.
+/// allows. Errors when the textures alone exceed it.
 pub fn affordable(
     views: &[View],
     (mesh, atlas): (&Mesh, &Atlas),
@@ -93,7 +92,9 @@ pub fn affordable(
     let pixels_of = |read: &[View]| read.iter().map(|view| view.camera.pixels() as u64).sum::<u64>();
     let mut left = allowed.saturating_sub(pixels_of(&read));
     for i in spread(views.len()) {
-        let Some(finer) = (1..read[i].reduction).rev().find_map(|factor| views[i].reduced(factor)) else { continue };
+        // A view may have been reduced before.
+        let factor = read[i].reduction / views[i].reduction;
+        let Some(finer) = (1..factor).rev().find_map(|factor| views[i].reduced(factor)) else { continue };
         let more = (finer.camera.pixels() - read[i].camera.pixels()) as u64;
         if more <= left {
             left -= more;
