@@ -1,6 +1,6 @@
 //! Arguments that several commands have.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::Args;
@@ -12,14 +12,29 @@ use texir_core::capture::{self, Capture, LoadOptions};
 use crate::failure::Failure;
 use crate::session::Session;
 
-/// A capture folder, and what overrides its content.
+/// A capture folder, and another mesh for it.
 #[derive(Clone, Debug, Args)]
-pub struct CaptureArgs {
+pub struct FolderArgs {
     /// Capture folder: transforms.json, mesh.obj, .glb or .ply, HDR images
     pub capture: PathBuf,
     /// Use this mesh instead of the folder's
     #[arg(long, value_name = "FILE")]
     pub mesh: Option<PathBuf>,
+}
+
+impl FolderArgs {
+    /// Reads the folder, with another HDR texture for its own where one is given.
+    pub fn load(&self, tbl: Option<&Path>, session: &Session<'_>) -> Result<Capture, Failure> {
+        let options = LoadOptions { mesh: self.mesh.clone(), tbl: tbl.map(Path::to_owned) };
+        Ok(capture::load(&self.capture, &options, session.console)?)
+    }
+}
+
+/// A capture folder, and what overrides its content.
+#[derive(Clone, Debug, Args)]
+pub struct CaptureArgs {
+    #[command(flatten)]
+    pub folder: FolderArgs,
     /// Use this HDR texture instead of the folder's
     #[arg(long, value_name = "FILE")]
     pub tbl: Option<PathBuf>,
@@ -28,13 +43,12 @@ pub struct CaptureArgs {
 impl CaptureArgs {
     /// Whether parts of the folder are replaced.
     pub fn is_overridden(&self) -> bool {
-        self.mesh.is_some() || self.tbl.is_some()
+        self.folder.mesh.is_some() || self.tbl.is_some()
     }
 
     /// Reads the folder.
     pub fn load(&self, session: &Session<'_>) -> Result<Capture, Failure> {
-        let options = LoadOptions { mesh: self.mesh.clone(), tbl: self.tbl.clone() };
-        Ok(capture::load(&self.capture, &options, session.console)?)
+        self.folder.load(self.tbl.as_deref(), session)
     }
 }
 

@@ -16,7 +16,7 @@ use texir_core::scene::Scene;
 use self::findings::{Findings, Origin};
 use super::import::SourceArgs;
 use super::overlay;
-use crate::args::CaptureArgs;
+use crate::args::{CaptureArgs, FolderArgs};
 use crate::checks::check_folder;
 use crate::failure::Failure;
 use crate::session::Session;
@@ -58,7 +58,7 @@ impl Inspect {
 
     /// A capture as every command loads it; other programs' files as they would be after an import.
     fn open(&self, session: &Session<'_>) -> Result<(Capture, Origin), Failure> {
-        let CaptureArgs { capture: folder, mesh, .. } = &self.capture;
+        let FolderArgs { capture: folder, mesh } = &self.capture.folder;
         if !self.source.are_given() && import::is_capture(folder)? {
             return Ok((self.capture.load(session)?, Origin::of_capture()));
         }

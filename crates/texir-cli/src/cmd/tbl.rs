@@ -10,7 +10,7 @@ use texir_core::scene::Scene;
 use texir_core::tbl::{self, TblOptions};
 
 use super::corrections::CorrectionArgs;
-use crate::args::{CaptureArgs, side};
+use crate::args::{FolderArgs, side};
 use crate::checks::{check_exr, check_outputs};
 use crate::device;
 use crate::failure::Failure;
@@ -20,7 +20,7 @@ use crate::session::Session;
 #[derive(Debug, Args)]
 pub struct Tbl {
     #[command(flatten)]
-    capture: CaptureArgs,
+    folder: FolderArgs,
     #[command(flatten)]
     corrections: CorrectionArgs,
     /// The HDR texture; its coverage mask goes beside it, as NAME_mask.png
@@ -45,12 +45,8 @@ struct Summary {
 impl Tbl {
     /// Builds and writes the texture.
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
-        if self.capture.tbl.is_some() {
-            return Err(Failure::new("--tbl names an HDR texture, which is what this command makes of the views")
-                .help("leave it out; --output says where the texture goes"));
-        }
         check_exr(&self.output)?;
-        let mut capture = self.capture.load(session)?;
+        let mut capture = self.folder.load(None, session)?;
         // The one that the folder has is not looked at, and may be made anew.
         capture.tbl = None;
         check_outputs(&[&self.output, &capture::Tbl::mask_path(&self.output)], &capture.files())?;

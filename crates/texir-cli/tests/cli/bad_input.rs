@@ -172,8 +172,7 @@ fn options_that_would_do_nothing() {
     let capture = Capture::new();
     let (input, out) = (capture.path(), capture.out("out.exr"));
     let texture = capture.file("mesh.obj");
-    let cases: [(&str, &str, &OsStr); 7] = [
-        ("tbl", "--tbl", texture.as_os_str()),
+    let cases: [(&str, &str, &OsStr); 6] = [
         ("bake", "--bounces", "2".as_ref()),
         ("bake", "--tolerance", "0.1".as_ref()),
         ("bake", "--environment", texture.as_os_str()),

@@ -56,21 +56,27 @@ impl Series {
         Ok(())
     }
 
-    /// What further members would add if the series goes on like its last two, geometrically.
+    /// What further members would add if the series goes on like its last ones, geometrically.
     pub fn remainder(&self) -> Remainder {
         Remainder { of_all: self.of_all(), of_a_part: self.of_a_part() }
     }
 
+    /// Light that goes back and forth between dark and bright surfaces falls by much and by little in turn: with the
+    /// last two ratios *b* and *a* in turn, ρ = b, further members add b + b a + b a b + … = b (1 + a)/(1 − a b) of the
+    /// last.
     fn of_all(&self) -> f64 {
         let sum: f64 = self.means.iter().sum();
-        match self.means[..] {
-            [.., before, last] if last < before => {
-                let left_out = last * last / (before - last);
-                left_out / (sum + left_out)
-            }
-            [.., 0.0] => 0.0,
-            _ => f64::INFINITY,
+        let (b, a, last) = match self.means[..] {
+            [.., 0.0] => return 0.0,
+            [.., first, second, last] => (second / first, last / second, last),
+            [first, last] => (last / first, last / first, last),
+            _ => return f64::INFINITY,
+        };
+        if !(a * b < 1.0) {
+            return f64::INFINITY;
         }
+        let left_out = last * b * (1.0 + a) / (1.0 - a * b);
+        left_out / (sum + left_out)
     }
 
     fn of_a_part(&self) -> f64 {
@@ -109,6 +115,13 @@ mod tests {
         assert_eq!(of_all(&[1.0, 0.5, 0.25]), 0.125);
         assert_eq!(of_all(&[1.0, 0.0]), 0.0);
         assert!(of_all(&[1.0]).is_infinite() && of_all(&[1.0, 1.0]).is_infinite());
+        // A white floor (.8) below a dark ceiling (.1): each bounce brings a tenth of the one before, or eight.
+        let series = [1.0, 0.8, 0.08, 0.064, 0.0064];
+        let left = |k: usize| {
+            let all = 1.8 / (1.0 - 0.08);
+            1.0 - series[..=k].iter().sum::<f64>() / all
+        };
+        assert!((2..5).all(|k| (of_all(&series[..=k]) - left(k)).abs() < 1e-9));
     }
 
     #[test]
