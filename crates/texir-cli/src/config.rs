@@ -115,16 +115,13 @@ impl Config {
 
     /// Errors where a setting was typed that the fit's mode does not read. (A file may hold those of both.)
     pub fn check_set(&self) -> Result<(), Failure> {
-        let (other, name) = match self.fit.mode {
-            Mode::Full => (Mode::Paper, "paper"),
-            Mode::Paper => (Mode::Full, "full"),
+        // Each mode has a table of its own.
+        let name = match self.fit.mode {
+            Mode::Full => "paper",
+            Mode::Paper => "full",
         };
         let help = format!("leave it out, or choose that mode (--set 'fit.mode=\"{name}\"')");
-        self.refuse(
-            |setting| other.own_settings().contains(&setting),
-            &format!("only --mode {name} reads this setting"),
-            &help,
-        )
+        self.refuse(|setting| setting == name, &format!("only --mode {name} reads this setting"), &help)
     }
 
     /// The same of a command that fits in every mode.
@@ -181,7 +178,7 @@ fn merge(table: &mut Table, change: Table) {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
-    use texir_core::fit::settings::OwnSettings;
+    use texir_core::fit::settings::AcceptanceSettings;
 
     use super::*;
 
@@ -209,30 +206,32 @@ mod tests {
     #[test]
     fn single_settings_change() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), "[fit.stage_two]\nquantile = 0.3\n").unwrap();
+        std::fs::write(file.path(), "[fit.paper.stage_two]\nquantile = 0.3\n").unwrap();
         let path = file.path().to_str().unwrap();
-        let config = Config::resolve(&common(&["--config", path, "--set", "fit.stage_two.enabled=false"])).unwrap();
-        assert_eq!((config.fit.stage_two.enabled, config.fit.stage_two.quantile), (false, 0.3));
-        assert!(Config::resolve(&common(&["--set", "fit.stage_two"])).is_err());
+        let config =
+            Config::resolve(&common(&["--config", path, "--set", "fit.paper.stage_two.enabled=false"])).unwrap();
+        assert_eq!((config.fit.paper.stage_two.enabled, config.fit.paper.stage_two.quantile), (false, 0.3));
+        assert!(Config::resolve(&common(&["--set", "fit.paper.stage_two"])).is_err());
         // One of several that have no defaults of their own.
-        let config = Config::resolve(&common(&["--set", "fit.full.roughness.colours.pull=0.25"])).unwrap();
+        let config = Config::resolve(&common(&["--set", "fit.full.roughness.colours.prior=0.25"])).unwrap();
         let usual = FitSettings::default().full.roughness.colours;
-        assert_eq!(config.fit.full.roughness.colours, OwnSettings { pull: 0.25, ..usual });
+        assert_eq!(config.fit.full.roughness.colours, AcceptanceSettings { prior: 0.25, ..usual });
         let error = format!("{:?}", Config::resolve(&common(&["--set", "fit.mode=paper"])).unwrap_err());
         assert!(
             error.contains("--set fit.mode=paper: expected KEY=VALUE") && error.contains("text needs quotes"),
             "{error}"
         );
-        let error = format!("{:?}", Config::resolve(&common(&["--set", "fit.stage_two.quantile=.3"])).unwrap_err());
+        let error =
+            format!("{:?}", Config::resolve(&common(&["--set", "fit.paper.stage_two.quantile=.3"])).unwrap_err());
         assert!(error.contains("digits on both sides") && !error.contains("quotes"), "{error}");
         assert!(Config::resolve(&common(&["--set", "fit.mode=\"paper\""])).is_ok());
-        assert!(Config::resolve(&common(&["--set", "fit.stage_too.enabled=false"])).is_err());
+        assert!(Config::resolve(&common(&["--set", "fit.paper.stage_too.enabled=false"])).is_err());
     }
 
     #[test]
     fn what_is_wrong_is_said_of_where_it_was_written() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), "[fit.parameters]\nalbedo_range = [0.0, 0.9]\n").unwrap();
+        std::fs::write(file.path(), "[fit.paper.parameters]\nalbedo_range = [0.0, 0.9]\n").unwrap();
         let path = file.path().to_str().unwrap();
         let said = |set: &[&str]| {
             let set = set.iter().flat_map(|set| ["--set", set]);
@@ -242,10 +241,10 @@ mod tests {
         let typed = said(&["fit.seed=3", "fit.emitter=3"]);
         assert!(typed.starts_with("--set fit.emitter=3: ") && typed.contains("emitter"), "{typed}");
         // One that is wrong beside another is neither's fault alone.
-        let start = "fit.parameters.albedo_start=0.95";
+        let start = "fit.paper.parameters.albedo_start=0.95";
         let both = said(&[start]);
         assert!(both.starts_with(&format!("{path}, --set {start}: ")), "{both}");
-        assert_eq!(said(&[start, "fit.parameters.albedo_range=[0.0, 1.0]"]), "");
+        assert_eq!(said(&[start, "fit.paper.parameters.albedo_range=[0.0, 1.0]"]), "");
     }
 
     #[test]
@@ -262,19 +261,11 @@ mod tests {
             Config::resolve(&common(&["--set", &format!("fit.mode=\"{mode}\""), "--set", set])).unwrap().check_set()
         };
         for (mode, other, set) in
-            [("full", "paper", "fit.stage_two.enabled=false"), ("paper", "full", "fit={full={alternations=3}}")]
+            [("full", "paper", "fit.paper.stage_two.enabled=false"), ("paper", "full", "fit={full={alternations=3}}")]
         {
             let error = format!("{:?}", checked(mode, set).unwrap_err());
             assert!(error.contains(set) && error.contains(&format!("fit.mode=\\\"{other}")), "{error}");
             assert!(checked(other, set).is_ok() && checked(mode, "fit.emitter_ratio = 3.0").is_ok());
-        }
-    }
-
-    #[test]
-    fn own_settings_are_settings() {
-        let all = Table::try_from(FitSettings::default()).unwrap();
-        for mode in [Mode::Full, Mode::Paper] {
-            mode.own_settings().iter().for_each(|name| assert!(all.contains_key(*name), "{name}"));
         }
     }
 

@@ -44,23 +44,23 @@ const VARIANTS: [Variant; 7] = [
     Variant {
         name: "joint",
         note: "albedo and roughness together from the start: no stage I, no stage II",
-        set: |s| (s.stage_one.enabled, s.stage_two.enabled) = (false, false),
+        set: |s| (s.paper.stage_one.enabled, s.paper.stage_two.enabled) = (false, false),
     },
     Variant {
         name: "without-stage-1",
         note: "no albedo of its own before roughness",
-        set: |s| s.stage_one.enabled = false,
+        set: |s| s.paper.stage_one.enabled = false,
     },
     Variant {
         name: "without-stage-2",
         note: "no roughness from virtual highlights",
-        set: |s| s.stage_two.enabled = false,
+        set: |s| s.paper.stage_two.enabled = false,
     },
-    Variant { name: "without-stage-3", note: "no refinement of both", set: |s| s.stage_three.enabled = false },
+    Variant { name: "without-stage-3", note: "no refinement of both", set: |s| s.paper.stage_three.enabled = false },
     Variant {
         name: "source-tbl",
         note: "irradiance gathered anew at every step instead of precomputed",
-        set: |s| s.precomputed_irradiance = false,
+        set: |s| s.paper.precomputed_irradiance = false,
     },
     Variant { name: "paper", note: "the paper's three stages", set: |_| () },
     Variant { name: "full", note: "the program's own way", set: |s| s.mode = Mode::Full },

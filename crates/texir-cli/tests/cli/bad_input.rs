@@ -121,11 +121,11 @@ fn unknown_and_impossible_settings() {
     let capture = Capture::new();
     let config = capture.out("settings.toml");
     for (text, parts) in [
-        ("[fit]\nspecular_sample = 4\n", ["unknown field", "specular_sample", "specular_samples"]),
-        ("[fit]\nspecular_samples = 0\n", ["specular_samples", "0", "1 to 1048576"]),
-        ("[fit.parameters]\nalbedo_range = [0.9, 0.1]\n", ["albedo_range[1]", "0.1", "above the lower bound"]),
-        ("[fit.stage_two]\nquantile = 1.5\n", ["stage_two.quantile", "1.5", "[0, 1]"]),
-        ("[fit.stage_one]\nsemantic_weight = nan\n", ["semantic_weight", "NaN", "at least 0"]),
+        ("[fit.paper]\nspecular_sample = 4\n", ["unknown field", "specular_sample", "specular_samples"]),
+        ("[fit.paper]\nspecular_samples = 0\n", ["specular_samples", "0", "1 to 1048576"]),
+        ("[fit.paper.parameters]\nalbedo_range = [0.9, 0.1]\n", ["albedo_range[1]", "0.1", "above the lower bound"]),
+        ("[fit.paper.stage_two]\nquantile = 1.5\n", ["stage_two.quantile", "1.5", "[0, 1]"]),
+        ("[fit.paper.stage_one]\nsemantic_weight = nan\n", ["semantic_weight", "NaN", "at least 0"]),
     ] {
         std::fs::write(&config, text).unwrap();
         // The quick settings would hide the file's.

@@ -463,9 +463,9 @@ fn paper_mode_goes_down() {
         "--set",
         "fit.irradiance_samples=256",
         "--set",
-        "fit.specular_samples=32",
+        "fit.paper.specular_samples=32",
         "--set",
-        "fit.optimiser.epochs=40",
+        "fit.paper.optimiser.epochs=40",
     ];
     let paths = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str()];
     succeed(&[&paths[..], &how.map(AsRef::as_ref)].concat());
@@ -558,8 +558,8 @@ fn a_fit_on_the_gpu_takes_its_settings_from_a_file() {
     let (config, out, input) = (capture.out("quick.toml"), capture.out("out"), capture.path());
     std::fs::write(
         &config,
-        "backend = \"gpu\"\n[fit]\nmode = \"paper\"\natlas_size = 64\nirradiance_samples = 32\nspecular_samples = 4\n\
-         [fit.optimiser]\nepochs = 1\n[fit.stage_two]\nenabled = false\n",
+        "backend = \"gpu\"\n[fit]\nmode = \"paper\"\natlas_size = 64\nirradiance_samples = 32\n\
+         [fit.paper]\nspecular_samples = 4\n[fit.paper.optimiser]\nepochs = 1\n[fit.paper.stage_two]\nenabled = false\n",
     )
     .unwrap();
     let arguments = ["fit".as_ref(), input.as_os_str(), "-o".as_ref(), out.as_os_str(), "--no-eval".as_ref()];

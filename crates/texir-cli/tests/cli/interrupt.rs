@@ -49,7 +49,8 @@ fn an_interrupted_fit_leaves_no_output_and_goes_on_to_the_same_bits() {
 
 #[test]
 fn an_interrupted_fit_in_paper_mode_goes_on_with_the_next_epoch() {
-    let (_capture, out) = interrupt(&["--mode", "paper", "--set", "fit.optimiser.epochs=100"], "stage-I.safetensors");
+    let (_capture, out) =
+        interrupt(&["--mode", "paper", "--set", "fit.paper.optimiser.epochs=100"], "stage-I.safetensors");
     let epochs = std::fs::read_to_string(out.join("log.jsonl")).unwrap().lines().count();
     assert_eq!(epochs, 300, "the log has the epochs of both runs");
 }

@@ -20,11 +20,11 @@ const QUICK: [&str; 8] = [
     "--set",
     "fit.atlas_size=64",
     "--set",
-    "fit.optimiser.epochs=2",
+    "fit.paper.optimiser.epochs=2",
     "--set",
     "fit.irradiance_samples=32",
     "--set",
-    "fit.specular_samples=4",
+    "fit.paper.specular_samples=4",
 ];
 
 /// The binary with arguments.

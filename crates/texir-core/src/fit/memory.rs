@@ -25,7 +25,7 @@ fn bytes_of(settings: &FitSettings) -> (u64, u64) {
     match settings.mode {
         // Four channels of parameters, gradients, two moments, lighting and irradiance, with mips; footprints of about
         // 12 taps per sub-pixel, both ways.
-        Mode::Paper => (150, (settings.footprint_samples * settings.footprint_samples) as u64 * 192),
+        Mode::Paper => (150, (settings.paper.footprint_samples * settings.paper.footprint_samples) as u64 * 192),
         // Points, neighbours, lighting, and votes, or later albedo with solver vectors; a footprint of 8 taps, a curve,
         // costs by roughness, solver vectors. A first round has costs under two models, and a quarter of the curves;
         // without one, the last has both. Where metals are sought, other curves and costs are added.

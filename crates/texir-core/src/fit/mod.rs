@@ -4,14 +4,14 @@
 
 mod adam;
 mod adjacency;
-mod diffused;
 mod emitters;
 mod full;
-mod lighting;
 #[cfg(test)]
 mod lit_square;
 pub mod memory;
+mod outgoing;
 mod paper;
+mod prepare;
 pub mod settings;
 mod warnings;
 
@@ -21,7 +21,7 @@ use std::time::Instant;
 
 use adjacency::Adjacency;
 use glam::Vec3;
-use lighting::{Lighting, lighting};
+use prepare::{Prepared, prepare};
 use rayon::prelude::*;
 
 use crate::atlas::Atlas;
@@ -43,7 +43,7 @@ pub use paper::{EpochLog, Stage};
 pub use settings::{FitSettings, Mode};
 
 /// What both modes start from: the light of the scene, and where its texels are.
-struct Ground<'a> {
+struct FitContext<'a> {
     /// The texels of the backend's scene.
     pub atlas: &'a Atlas,
     /// Edge of a typical one on the surface, metres.
@@ -127,8 +127,8 @@ pub fn fit(
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let Lighting { mut tbl, atlas, training, views, unit } =
-        lighting(backend, (capture.tbl.as_deref(), training), settings, progress)?;
+    let Prepared { mut tbl, atlas, training, views, unit } =
+        prepare(backend, (capture.tbl.as_deref(), training), settings, progress)?;
     timings.mark("texture-based lighting");
 
     let adjacency = Adjacency::new(scene.mesh(), &atlas);
@@ -140,7 +140,7 @@ pub fn fit(
     // Where it is gathered again it only has to tell what light surfaces send, and most of that is known from the
     // views.
     let bake = if settings.bakes() > 1 { bake::thinned } else { bake::denoised };
-    let irradiance = outside(bake(backend, &atlas, gather, checkpoints, progress)?, &atlas)?;
+    let irradiance = without_buried(bake(backend, &atlas, gather, checkpoints, progress)?, &atlas)?;
     timings.mark("irradiance");
 
     let light = (&tbl, &irradiance);
@@ -155,7 +155,7 @@ pub fn fit(
              Check the exposure of the images, or lower the setting emitter_ratio",
         ));
     }
-    let ground = Ground {
+    let context = FitContext {
         atlas: &atlas,
         texel,
         adjacency: &adjacency,
@@ -168,8 +168,8 @@ pub fn fit(
         checkpoints,
     };
     let (materials, relit) = match settings.mode {
-        Mode::Paper => (paper::fit(backend, &ground, irradiance, &views, settings, progress, log)?, None),
-        Mode::Full => full::fit(backend, &ground, irradiance, &views, &settings.full, progress)?,
+        Mode::Paper => (paper::fit(backend, &context, irradiance, &views, &settings.paper, progress, log)?, None),
+        Mode::Full => full::fit(backend, &context, irradiance, &views, &settings.full, progress)?,
     };
     if let Some(radiance) = relit {
         tbl.radiance = radiance;
@@ -218,7 +218,7 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
 
 /// Irradiance of an atlas. What texels inside other geometry gather is no light of the room: they have none, but for
 /// the rim, which takes what is lit beside it.
-fn outside(mut baked: Baked, atlas: &Atlas) -> Result<Rgb> {
+fn without_buried(mut baked: Baked, atlas: &Atlas) -> Result<Rgb> {
     baked.irradiance.iter_mut().zip(&baked.buried).filter(|(_, inside)| **inside).for_each(|(e, _)| *e = [0.0; 3]);
     baked.map(atlas, bake::Buried::Fill)
 }
@@ -297,7 +297,7 @@ mod tests {
             standard_error: None,
             rays: 0,
         };
-        let map = outside(baked, atlas).unwrap();
+        let map = without_buried(baked, atlas).unwrap();
         assert!(map.data.iter().flatten().all(|e| *e <= 1.0), "nonsense is left");
         let beside = lit_square::SIDE / 2 - 1;
         assert_eq!(map.data[3 * lit_square::SIDE + beside], [1.0; 3], "the rim takes what is lit beside it");

@@ -333,8 +333,8 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
     let fit_rays = match settings.mode {
         // Stage I traces nothing, stage II only the few pixels that could show a highlight.
         Mode::Paper => {
-            let epochs = u64::from(settings.stage_three.enabled) * u64::from(settings.optimiser.epochs);
-            pixels * u64::from(settings.specular_samples) * epochs
+            let epochs = u64::from(settings.paper.stage_three.enabled) * u64::from(settings.paper.optimiser.epochs);
+            pixels * u64::from(settings.paper.specular_samples) * epochs
         }
         Mode::Full => training().map(|camera| settings.full.rays(camera)).sum(),
     };

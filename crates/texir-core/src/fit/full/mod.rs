@@ -6,36 +6,12 @@
 //! irradiance and observations are made again.
 
 mod albedo;
-mod automatic;
-mod bands;
-mod blocks;
-mod board_ends;
-mod borders;
-mod colours;
-mod confidence;
-mod hidden;
-mod hierarchy;
 mod joints;
-mod kin;
-mod labels;
-mod lines;
-mod local;
-mod metals;
-mod nodes;
 mod observations;
-mod own;
-mod palette;
-mod parent;
 mod partition;
-mod periodic_lines;
-mod reflections;
-mod regular;
-mod rims;
-mod scan;
+mod roughness;
 mod segments;
-mod share;
-mod squares;
-mod variation;
+mod unseen;
 
 use std::f32::consts::PI;
 use std::iter::repeat_n;
@@ -44,44 +20,45 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::adjacency::NONE;
-use super::{Ground, Materials, diffused, outside, warnings};
+use super::{FitContext, Materials, outgoing, warnings, without_buried};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::bake;
 use crate::capture::View;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
-use crate::fit::settings::{FullSettings, RoughnessSettings};
+use crate::fit::settings::{FullSettings, PaletteSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::progress::{Named, Progress};
 use crate::raster::Rgb;
-use albedo::{AlbedoProblem, Edges};
-use joints::{Judges, Lines};
-use labels::Labels;
-use local::Surface;
+use albedo::palette::Palettes;
+use albedo::{AlbedoProblem, EdgeGuide};
+use joints::{JointPixels, Lines};
 use observations::{Observations, Observer};
-use palette::Palettes;
 use partition::Partition;
-use scan::Tally;
+use roughness::evidence::{Evidence, Tally};
+use roughness::finishes::{self, BlockGrid, BlockTallies};
+use roughness::{confidence, cross_validation, hierarchy, metals, scan, similarity_prior};
 use segments::Segments;
+use segments::labels::Labels;
 
 /// Fits the materials, and tells what radiance surfaces send by them if irradiance was gathered again from that
 /// ([`FullSettings::alternations`]). The backend holds the full TBL and its lights; `map` is the irradiance E.
 pub fn fit(
     backend: &mut dyn Backend,
-    ground: &Ground<'_>,
+    context: &FitContext<'_>,
     map: Rgb,
     training: &[View],
     settings: &FullSettings,
     progress: &dyn Progress,
 ) -> Result<(Materials, Option<Rgb>)> {
-    let Ground { atlas, adjacency, emitters, seed, .. } = *ground;
+    let FitContext { atlas, adjacency, emitters, seed, .. } = *context;
     let mut irradiance = of_texels(&map, atlas);
     drop(map);
     let labels = Labels::vote(backend, (atlas, adjacency), training, progress)?;
     if !labels.has_classes() {
         let what = match training.iter().any(|view| view.semantic.is_some()) {
-            true => "semantic images name no class where masks let pixels count",
+            true => "semantic images label no pixel that masks leave",
             false => "no view has semantic classes",
         };
         progress.warn(&format!(
@@ -94,7 +71,7 @@ pub fn fit(
     let mut round = 0;
     loop {
         let (settings, progress) = (&rounds[round], if round == 0 { progress } else { &again });
-        let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
+        let checkpoints = &context.checkpoints.within(&format!("round-{round}"));
         let observer = Observer { atlas, emitters, settings, seed, checkpoints };
         let seen = observer.observe(backend, training, progress)?;
         if round == 0 {
@@ -102,11 +79,11 @@ pub fn fit(
                 .into_iter()
                 .for_each(|what| progress.warn(&what));
         }
-        // What the next round's light is made of keeps its specks: its roughness came out worse without.
+        // Only the last round removes specks: without them, roughness came out worse in the next.
         let is_last = round + 1 == rounds.len();
-        let edges = if is_last { Edges::WithoutSpecks } else { Edges::OfTexels };
-        let materials = recover(ground, &irradiance, (&labels, &seen), settings, edges, progress)?;
-        let sent = diffused::radiance(atlas, ground.tbl, &materials, emitters, &seen.is_seen);
+        let guide = if is_last { EdgeGuide::Median } else { EdgeGuide::Albedo };
+        let materials = recover(context, &irradiance, (&labels, &seen), settings, guide, progress)?;
+        let sent = outgoing::radiance(atlas, context.tbl, &materials, emitters, &seen.is_seen);
         drop(seen);
         // One scan for each diffuse model is enough.
         rounds.iter_mut().for_each(|settings| settings.diffuse = materials.diffuse.into());
@@ -115,10 +92,10 @@ pub fn fit(
             return Ok((materials, (round > 1).then_some(sent)));
         }
         let bake = if round + 1 < rounds.len() { bake::thinned } else { bake::denoised };
-        let checkpoints = &ground.checkpoints.within(&format!("round-{round}"));
+        let checkpoints = &context.checkpoints.within(&format!("round-{round}"));
         backend.set_tbl(&sent, &Lights::find(backend.scene(), atlas, &sent)?)?;
-        let baked = bake(backend, atlas, ground.gather, checkpoints, &again)?;
-        irradiance = of_texels(&outside(baked, atlas)?, atlas);
+        let baked = bake(backend, atlas, context.gather, checkpoints, &again)?;
+        irradiance = of_texels(&without_buried(baked, atlas)?, atlas);
     }
 }
 
@@ -129,16 +106,16 @@ fn of_texels(map: &Rgb, atlas: &Atlas) -> Vec<Vec3A> {
 
 /// The materials that explain what is seen: steps 4 to 8 of docs/fit.md.
 fn recover(
-    ground: &Ground<'_>,
+    context: &FitContext<'_>,
     irradiance: &[Vec3A],
     (labels, seen): (&Labels, &Observations),
     settings: &FullSettings,
-    edges: Edges,
+    guide: EdgeGuide,
     progress: &dyn Progress,
 ) -> Result<Materials> {
-    let Ground { atlas, texel, adjacency, plan, .. } = *ground;
+    let FitContext { atlas, texel, adjacency, plan, .. } = *context;
     // 4. Segments.
-    let apparent = apparent_albedo(ground, irradiance);
+    let apparent = apparent_albedo(context, irradiance);
     let segments = segments::segment((atlas, texel), adjacency, labels, &seen.is_seen, &apparent, plan);
     drop(apparent);
     let segment = segments.partition();
@@ -148,58 +125,45 @@ fn recover(
     // 5 and 6. A scan, and by it one roughness for each segment.
     let Scanned { diffuse, mut albedo, evidence, tallies, by_segment } =
         scan_models(&mut problem, &segments, settings, progress)?;
-    problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1, Edges::OfTexels);
+    problem.solve_at(&mut albedo, segments.of_texels(&by_segment), 1, EdgeGuide::Albedo);
 
-    // 7. Roughness of its colours, and where it has two finishes: pixels that see joints would make a mixture of those.
+    // 7. Parts of segments: colours and finishes, for which pixels that see joints would make a mixture, then joints.
     let lines = Lines::find(&problem, &albedo, texel, &settings.roughness.joints, progress)?;
     let half = evidence.halves(&seen.views);
-    let surface = Surface {
+    let grid = BlockGrid {
         width: atlas.width,
         texels: &atlas.texels,
         segment: segment.of,
         face: &segments.face,
-        heaviest: &heaviest(seen, &evidence.segment),
-        half: &half,
-        block: (settings.roughness.local.block / texel).round().max(2.0),
+        block: (settings.roughness.finishes.block / texel).round().max(2.0),
     };
-    let without_joints = heaviest(seen, &lines.without(&seen.rows, &evidence.segment));
-    let blocks = local::Said {
-        by_all: surface.blocks(&evidence),
-        by_plain: Surface { heaviest: &without_joints, ..surface }.blocks(&evidence),
+    let dominant = dominant_texel(seen, &evidence.segment);
+    let without_joints = dominant_texel(seen, &lines.without(&seen.rows, &evidence.segment));
+    let blocks = BlockTallies {
+        all: grid.blocks(&evidence, &dominant, &half),
+        without_joints: grid.blocks(&evidence, &without_joints, &half),
     };
     let palettes = problem.palettes(&albedo, &settings.palette);
-    let of_colours = by_colour(&surface, (&palettes, &albedo), &by_segment, &evidence, &settings.roughness);
-    let mut roughness = local::refine(&surface, &blocks, &by_segment, &of_colours, &settings.roughness.local);
+    let colour = palettes.numbered(segment, &albedo);
+    let of_colours = by_colour((&colour, &palettes), (&dominant, &half), &by_segment, &evidence, &settings.roughness);
+    let mut roughness = finishes::refine(&grid, &blocks, &by_segment, &of_colours, &settings.roughness.finishes);
     roughness.iter_mut().for_each(|r| *r = r.min(settings.roughness.cap));
-    // Nothing from here on asks what pixels cost, a tenth of a large fit's memory.
+    // From here on nobody needs the costs, a tenth of a large fit's memory.
     drop(evidence.cost);
-    problem.solve_at(&mut albedo, &roughness, 1, Edges::OfTexels);
+    problem.solve_at(&mut albedo, &roughness, 1, EdgeGuide::Albedo);
+    let pixels = JointPixels { segment: &evidence.segment, weight: &evidence.weight, half: &half };
+    let joints = joints::find(&problem, pixels, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
+    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds, guide);
 
-    // 7, still. Roughness of its joints.
-    let judges = Judges { segment: &evidence.segment, say: &evidence.say, half: &half };
-    let joints = joints::find(&problem, judges, (&albedo, &roughness), &lines, &settings.roughness, progress)?;
-    problem.solve_at(&mut albedo, joints.on(&roughness), settings.albedo.rounds, edges);
-
-    // 8. Few colours, and what no view sees painted after what it is like. That has no joints: lines do not go on by
-    // blurring.
-    let palettes = problem.palettes(&albedo, &settings.palette);
-    let mut painted: Vec<Vec3A> =
-        (&albedo, &segments.segment).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, &settings.palette)).collect();
-    let outlier = hidden::outliers(&albedo, segment);
-    let known = |t: usize| seen.is_seen[t] && !outlier[t];
-    let model = segments.of_texels(&segments.models(known));
-    hidden::paint(atlas, &model, known, (&mut painted, &mut roughness), texel);
-    // Sources are told with a rim, which may be paint; what sends more than paint could is none.
-    let apparent = apparent_albedo(ground, irradiance);
-    let shines = |t: usize| ground.emitters.data[atlas.texels[t] as usize] && apparent[t].max_element() >= 1.0;
-    hidden::grey_sources(segment, shines, &mut painted);
+    // 8. Few colours, and what no view sees inpainted. That has no joints: lines do not go on by blurring.
+    let painted = completed(context, irradiance, (&segments, seen), &settings.palette, (&albedo, &mut roughness));
     let roughness = joints.on(&roughness);
-
     // What metal shows does not depend on irradiance.
     let depends = |t: usize| seen.is_seen[t] && problem.metal.get(t) != Some(&true);
-    let corrected = with_what_albedo_gives_up(irradiance, (&albedo, &painted), depends);
-    let confidence = confidence::confidence(&surface, &blocks.by_all, &tallies, &roughness);
+    let compensated = compensated_irradiance(irradiance, (&albedo, &painted), depends);
+    let confidence = confidence::confidence(&grid, &blocks.all, &tallies, &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
+
     let all = vec![true; painted.len()];
     let rgb = |values: &[Vec3A]| {
         let values: Vec<[f32; 3]> = values.iter().map(Vec3A::to_array).collect();
@@ -210,25 +174,49 @@ fn recover(
         albedo: rgb(&painted),
         roughness: gray(&roughness),
         metallic: settings.metallic.enabled.then(|| gray(&metallic)),
-        irradiance: rgb(&corrected),
+        irradiance: rgb(&compensated),
         diffuse,
         masking: settings.masking,
         confidence: Some(gray(&confidence)),
     })
 }
 
+/// Albedo drawn to the few colours of its segment; of unseen texels, and of outliers, inpainted, as is their `roughness`;
+/// of light sources that make up much of a segment, grey.
+fn completed(
+    context: &FitContext<'_>,
+    irradiance: &[Vec3A],
+    (segments, seen): (&Segments, &Observations),
+    settings: &PaletteSettings,
+    (albedo, roughness): (&[Vec3A], &mut [f32]),
+) -> Vec<Vec3A> {
+    let FitContext { atlas, texel, .. } = *context;
+    let segment = segments.partition();
+    let palettes = Palettes::find(albedo, segment, |t| seen.is_seen[t], settings);
+    let mut painted: Vec<Vec3A> =
+        (albedo, segment.of).into_par_iter().map(|(a, s)| palettes.drawn(*s, *a, settings)).collect();
+    let outlier = unseen::outliers(albedo, segment);
+    let known = |t: usize| seen.is_seen[t] && !outlier[t];
+    let exemplar = segments.of_texels(&segments.exemplars(known));
+    unseen::inpaint_materials(atlas, &exemplar, known, (&mut painted, roughness), texel);
+    // Emitter masks include a rim that may be paint: only what exceeds any albedo is a source.
+    let apparent = apparent_albedo(context, irradiance);
+    let emits = |t: usize| context.emitters.data[atlas.texels[t] as usize] && apparent[t].max_element() >= 1.0;
+    unseen::grey_sources(segment, emits, &mut painted);
+    painted
+}
+
 /// The albedo of every texel if all that it sends were reflected diffusely.
-fn apparent_albedo(ground: &Ground<'_>, irradiance: &[Vec3A]) -> Vec<Vec3A> {
+fn apparent_albedo(context: &FitContext<'_>, irradiance: &[Vec3A]) -> Vec<Vec3A> {
     /// Irradiance that is taken for none.
     const DARK: f32 = 1e-6;
     let of_texel = |(l, e): (Vec3A, &Vec3A)| (PI * l / e.max(Vec3A::splat(DARK))).min(Vec3A::ONE);
-    of_texels(&ground.tbl.radiance, ground.atlas).into_iter().zip(irradiance).map(of_texel).collect()
+    of_texels(&context.tbl.radiance, context.atlas).into_iter().zip(irradiance).map(of_texel).collect()
 }
 
-/// Irradiance by which what the images show stays what they show when the albedo that they ask for is `painted`
-/// otherwise, at the texels of which that `depends` on it: it takes what albedo gives up, even all of a black
-/// outlier's.
-fn with_what_albedo_gives_up(
+/// Irradiance that keeps a E, and with it the images' diffuse part, as albedo is replaced by the `painted` one, at texels
+/// where the images `depends` on it; by a factor of ten at most.
+fn compensated_irradiance(
     irradiance: &[Vec3A],
     (albedo, painted): (&[Vec3A], &[Vec3A]),
     depends: impl Fn(usize) -> bool + Sync,
@@ -245,7 +233,7 @@ fn with_what_albedo_gives_up(
 struct Scanned {
     diffuse: DiffuseModel,
     albedo: Vec<Vec3A>,
-    evidence: scan::Evidence,
+    evidence: Evidence,
     /// What it says of every segment,
     tallies: Vec<Tally>,
     /// and the roughness that they take by that.
@@ -294,7 +282,7 @@ fn find_metals(
     let pixels = settings.roughness.segment_pixels;
     let metal = metals::find([&scanned.tallies, &evidence.by_segment()], pixels, &settings.metallic);
     problem.metal = segments.segment.iter().map(|s| metal[*s as usize]).collect();
-    scanned.evidence.take(&evidence, &metal);
+    scanned.evidence.replace(&evidence, &metal);
     (&mut scanned.albedo, albedo, &problem.metal)
         .into_par_iter()
         .filter(|(_, _, metal)| **metal)
@@ -312,38 +300,38 @@ fn roughness_of_segments(
     (tallies, albedo): (&[Tally], &[Vec3A]),
     settings: &RoughnessSettings,
 ) -> Vec<f32> {
-    let colours = kin::colours(problem.segment, albedo, &problem.seen.is_seen);
+    let colours = similarity_prior::colours(problem.segment, albedo, &problem.seen.is_seen);
     hierarchy::of_segments(segments, tallies, &colours, settings)
 }
 
-/// The texel that each pixel sees most of; [`NONE`] for pixels of no segment, which do not count.
-fn heaviest(seen: &Observations, segment: &[u32]) -> Vec<u32> {
+/// The texel of largest weight in each pixel; [`NONE`] for pixels of no segment, which do not count.
+fn dominant_texel(seen: &Observations, segment: &[u32]) -> Vec<u32> {
     let of_pixel = |(p, segment): (usize, &u32)| {
-        let heaviest = seen.rows.row(p).iter().max_by(|a, b| a.weight().total_cmp(&b.weight()));
-        heaviest.filter(|_| *segment != NONE).map_or(NONE, |share| share.texel)
+        let largest = seen.rows.row(p).iter().max_by(|a, b| a.weight().total_cmp(&b.weight()));
+        largest.filter(|_| *segment != NONE).map_or(NONE, |share| share.texel)
     };
     segment.par_iter().enumerate().map(of_pixel).collect()
 }
 
-/// Roughness of every texel: its segment's, and where the views agree that its colour has one of its own, that.
+/// Roughness of every texel: its segment's, or its colour's as far as the halves of the views agree on that.
+/// `colour` is each texel's number in [`Palettes::starts`], `dominant` the texel and `half` the half of each pixel.
 fn by_colour(
-    surface: &Surface<'_>,
-    (palettes, albedo): (&Palettes, &[Vec3A]),
+    (colour, palettes): (&[u32], &Palettes),
+    (dominant, half): (&[u32], &[u8]),
     by_segment: &[f32],
-    evidence: &scan::Evidence,
+    evidence: &Evidence,
     settings: &RoughnessSettings,
 ) -> Vec<f32> {
     let starts = palettes.starts();
-    let of_texel = |(s, a): (&u32, &Vec3A)| starts[*s as usize] + palettes.nearest(*s, *a) as u32;
-    let colour: Vec<u32> = (surface.segment, albedo).into_par_iter().map(of_texel).collect();
     let of_pixel = |(&t, &half): (&u32, &u8)| if t == NONE { NONE } else { 2 * colour[t as usize] + u32::from(half) };
-    let group: Vec<u32> = surface.heaviest.par_iter().zip(surface.half).map(of_pixel).collect();
+    let group: Vec<u32> = dominant.par_iter().zip(half).map(of_pixel).collect();
     let halves = evidence.by_group(Partition { of: &group, count: 2 * *starts.last().unwrap_or(&0) as usize });
     let colours = starts.windows(2).map(|ends| (ends[1] - ends[0]) as usize);
     let parents = by_segment.iter().zip(colours).flat_map(|(r, colours)| repeat_n(*r, colours));
-    let own: Vec<f32> =
-        halves.as_chunks().0.iter().zip(parents).map(|(said, r)| own::of_part(said, r, &settings.colours)).collect();
-    colour.iter().map(|&g| own[g as usize]).collect()
+    let of_colour: Vec<f32> = (halves.as_chunks().0.iter().zip(parents))
+        .map(|(halves, r)| cross_validation::of_part(halves, r, &settings.colours))
+        .collect();
+    colour.iter().map(|&number| of_colour[number as usize]).collect()
 }
 
 #[cfg(test)]

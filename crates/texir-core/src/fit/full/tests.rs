@@ -4,20 +4,21 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3, Vec3A};
 
-use super::albedo::{AlbedoProblem, Edges, Roughness};
-use super::joints::{self, Judges, Lines};
-use super::observations::Observations;
-use super::parent::{Parent, settle};
-use super::partition::Partition;
-use super::scan::{Evidence, Tally, cost, minimum, scan};
-use super::share::Share;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::Masking;
 use crate::cpu::CpuBackend;
 use crate::diffuse::DiffuseModel;
 use crate::fit::adjacency::{Adjacency, NONE};
-use crate::fit::settings::{AlbedoSettings, JointSettings, OwnSettings, RoughnessSettings};
+use crate::fit::full::albedo::{AlbedoProblem, EdgeGuide, Roughness};
+use crate::fit::full::joints::{self, JointPixels, Lines};
+use crate::fit::full::observations::Observations;
+use crate::fit::full::observations::packed_tap::PackedTap;
+use crate::fit::full::partition::Partition;
+use crate::fit::full::roughness::evidence::{Evidence, Tally, cost, minimum};
+use crate::fit::full::roughness::prior::{Prior, shrink};
+use crate::fit::full::roughness::scan::scan;
+use crate::fit::settings::{AcceptanceSettings, AlbedoSettings, JointSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
@@ -97,10 +98,10 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
                 }; STRATA],
             );
             seen.cosine.push(to_camera.z);
-            seen.least_cosine.push(to_camera.z);
-            seen.at_rim.push(false);
+            seen.min_cosine.push(to_camera.z);
+            seen.near_excluded.push(false);
             seen.area.push(1.0);
-            seen.rows.push(Share::of(std::array::from_fn(|_| vec![Tap { texel: t as u32, weight: 1.0 }])));
+            seen.rows.push(PackedTap::of(std::array::from_fn(|_| vec![Tap { texel: t as u32, weight: 1.0 }])));
         }
     }
     let points: Vec<ShadePoint> = strata.iter().map(|s| s[0]).collect();
@@ -128,8 +129,8 @@ impl Toy {
         let (seen, pixels) = (&mut self.seen, self.segment.iter().filter(|s| **s == 0).count());
         seen.radiance.truncate(pixels);
         seen.cosine.truncate(pixels);
-        seen.least_cosine.truncate(pixels);
-        seen.at_rim.truncate(pixels);
+        seen.min_cosine.truncate(pixels);
+        seen.near_excluded.truncate(pixels);
         seen.area.truncate(pixels);
         seen.block.truncate(pixels);
         seen.rows.taps.truncate(pixels);
@@ -152,7 +153,7 @@ fn the_scan_recovers_roughness_under_a_small_lamp() {
         let mut albedo = problem.start();
         let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
-        let found = settle(&evidence.by_group(Partition { of: &group, count: 1 }), &[[]])[0];
+        let found = shrink(&evidence.by_group(Partition { of: &group, count: 1 }), &[[]])[0];
         assert!((found - truth).abs() < 0.02, "r {truth}: found {found}");
     }
 }
@@ -168,7 +169,7 @@ fn a_single_view_tells_roughness_by_what_albedo_would_have_to_imitate() {
         let mut albedo = problem.start();
         let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut albedo, &Silent).unwrap();
         let group: Vec<u32> = evidence.segment.iter().map(|&s| if s == NONE { NONE } else { 0 }).collect();
-        let found = settle(&evidence.by_segment(), &[[]; 2])[0];
+        let found = shrink(&evidence.by_segment(), &[[]; 2])[0];
         assert!((found - truth).abs() < 0.03, "r {truth}: found {found}");
         // Negative control: its pixels alone are explained by some albedo at any roughness.
         let alone = evidence.by_group(Partition { of: &group, count: 1 })[0].misfit();
@@ -183,8 +184,8 @@ fn pixels_say_nothing_at_rims_and_where_a_part_is_seen_at_a_grazing_angle() {
     let mut toy = toy(|_| Vec3A::splat(0.5), 0.3, 1.0);
     let usual = 3;
     let [edge, rim] = [usual + 1, usual + 2];
-    toy.seen.least_cosine[edge] = 0.1;
-    toy.seen.at_rim[rim] = true;
+    toy.seen.min_cosine[edge] = 0.1;
+    toy.seen.near_excluded[rim] = true;
     let problem = toy.problem(&settings);
     let evidence = scan(&problem, "Lambert", &RoughnessSettings::default(), &mut problem.start(), &Silent).unwrap();
     assert!([usual, edge, rim].iter().all(|p| toy.seen.cosine[*p] > 0.4));
@@ -194,7 +195,7 @@ fn pixels_say_nothing_at_rims_and_where_a_part_is_seen_at_a_grazing_angle() {
 #[test]
 fn the_diffuse_model_is_the_one_that_the_images_were_made_with() {
     use super::scan_models;
-    use super::segments::Segments;
+    use crate::fit::full::segments::Segments;
     use crate::fit::settings::FullSettings;
     let settings = FullSettings::default();
     for truth in [DiffuseModel::Lambert, DiffuseModel::Burley] {
@@ -220,7 +221,7 @@ fn the_diffuse_model_is_the_one_that_the_images_were_made_with() {
 #[test]
 fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
     use super::scan_models;
-    use super::segments::Segments;
+    use crate::fit::full::segments::Segments;
     use crate::fit::settings::{DiffuseChoice, FullSettings, MetallicSettings};
     let mut settings = FullSettings { diffuse: DiffuseChoice::Lambert, ..FullSettings::default() };
     let copper = Vec3A::new(0.95, 0.64, 0.54);
@@ -240,9 +241,9 @@ fn smooth_metal_is_told_from_dielectrics_and_keeps_its_colour() {
             let mut scanned = scan_models(&mut problem, &segments, &settings, &Silent).unwrap();
             let r = vec![scanned.by_segment[0]; toy.segment.len()];
             let sigma = problem.noise(settings.albedo.image_noise);
-            let mut shown = problem.shown(&scanned.albedo);
+            let mut predicted = problem.predicted(&scanned.albedo);
             let target = problem.target(&Roughness::Texels(&r));
-            problem.solve((&mut scanned.albedo, &mut shown), (&target, &sigma), 3, 25, Edges::OfTexels);
+            problem.solve((&mut scanned.albedo, &mut predicted), (&target, &sigma), 3, 25, EdgeGuide::Albedo);
             (problem.metal.get(floor).copied().unwrap_or(false), r[0], scanned.albedo[floor])
         };
         let (is_metal, r, albedo) = metal(true);
@@ -264,9 +265,9 @@ fn least_squares_recovers_albedo_beside_highlights() {
     let sigma = problem.noise(settings.image_noise);
     let error = |r: f32| {
         let mut albedo = problem.start();
-        let mut shown = problem.shown(&albedo);
+        let mut predicted = problem.predicted(&albedo);
         let target = problem.target(&Roughness::Texels(&vec![r; toy.segment.len()]));
-        problem.solve((&mut albedo, &mut shown), (&target, &sigma), 3, 25, Edges::OfTexels);
+        problem.solve((&mut albedo, &mut predicted), (&target, &sigma), 3, 25, EdgeGuide::Albedo);
         let seen = (0..albedo.len()).filter(|&t| toy.segment[t] == 0);
         seen.map(|t| (albedo[t] - truth(t)).abs().max_element()).fold(0.0, f32::max)
     };
@@ -282,11 +283,11 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
     let roughness: Vec<f32> = (0..toy.segment.len()).map(|t| if t == rough as usize { 0.8 } else { 0.1 }).collect();
     let sees = |texel, weight| Tap { texel, weight };
     // A pixel between both, nearer to the rough one by a share that is kept exactly; and one across a sharp edge.
-    let between = Share::of(std::array::from_fn(|_| vec![sees(smooth, 1.0), sees(rough, 2.0)]));
-    let across = Share::of([smooth, rough, rough, rough].map(|t| vec![sees(t, 1.0)]));
+    let between = PackedTap::of(std::array::from_fn(|_| vec![sees(smooth, 1.0), sees(rough, 2.0)]));
+    let across = PackedTap::of([smooth, rough, rough, rough].map(|t| vec![sees(t, 1.0)]));
     let highlight = |p: &usize| toy.seen.curve(*p).at(0.1).0[0];
     let pixel = (0..toy.seen.len()).max_by(|a, b| highlight(a).total_cmp(&highlight(b))).unwrap();
-    let mut apparent = |shares: Vec<Share>| {
+    let mut apparent = |shares: Vec<PackedTap>| {
         let mut row = Some(shares);
         let rows =
             (0..toy.seen.len()).map(|p| if p == pixel { row.take().unwrap() } else { toy.seen.rows.row(p).to_vec() });
@@ -294,7 +295,7 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
         let settings = AlbedoSettings::default();
         let problem = toy.problem(&settings);
         let said = problem.target(&Roughness::Texels(&roughness)).albedo[pixel];
-        (problem.seen.radiance[pixel] - said / problem.per_irradiance[pixel])[0]
+        (problem.seen.radiance[pixel] - said / problem.pi_over_e[pixel])[0]
     };
     let reflected = [apparent(between), apparent(across)];
     let at = |roughness| toy.seen.curve(pixel).at(roughness).0[0];
@@ -312,9 +313,14 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
     let found = |is_joint: fn(usize) -> bool, length: f32, paint: f32, finish: f32| {
         let defaults = JointSettings::default();
-        let own = defaults.own.clone();
+        let own = defaults.acceptance.clone();
         let roughness = RoughnessSettings {
-            joints: JointSettings { width: 0.25, length, own: OwnSettings { half_pixels: 50.0, ..own }, ..defaults },
+            joints: JointSettings {
+                width: 0.25,
+                length,
+                acceptance: AcceptanceSettings { half_pixels: 50.0, ..own },
+                ..defaults
+            },
             ..RoughnessSettings::default()
         };
         let material = |t: usize| match is_joint(t) {
@@ -326,19 +332,19 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         let surface = vec![0.15; toy.segment.len()];
         let target = problem.target(&Roughness::Texels(&surface));
         let mut albedo = problem.start();
-        let mut shown = problem.shown(&albedo);
+        let mut predicted = problem.predicted(&albedo);
         problem.solve(
-            (&mut albedo, &mut shown),
+            (&mut albedo, &mut predicted),
             (&target, &problem.noise(settings.image_noise)),
             2,
             25,
-            Edges::OfTexels,
+            EdgeGuide::Albedo,
         );
         let pixels = toy.seen.len();
         // Every view sees each of the floor's texels once.
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
         let texel = 2.0 / FLOOR as f32;
-        let judges = Judges { segment: &vec![0; pixels], say: &vec![1.0; pixels], half: &half };
+        let judges = JointPixels { segment: &vec![0; pixels], weight: &vec![1.0; pixels], half: &half };
         let lines = Lines::find(&problem, &albedo, texel, &roughness.joints, &Silent).unwrap();
         let joints = joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap();
         (0..surface.len()).map(|t| joints.at(t).map(|(joint, share)| joint.on(surface[t], share))).collect::<Vec<_>>()
@@ -382,22 +388,23 @@ fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_i
     let evidence = Evidence {
         segment: vec![0],
         cost: vec![cost],
-        say: vec![1.0],
+        weight: vec![1.0],
         slope: vec![[0.0; NODES]; 2],
         variation: vec![],
     };
     let groups = evidence.by_segment();
     let settled = |pull, pixels| {
-        let parents = [0.8, 0.6].map(|roughness| [Parent { roughness, pull, pixels }]);
-        settle(&groups, &parents)
+        let parents = [0.8, 0.6].map(|roughness| [Prior { roughness, weight: pull, pseudo_count: pixels }]);
+        shrink(&groups, &parents)
     };
     let own = crate::specular_table::node(8);
     assert!((settled(0.0, 0.0)[0] - own).abs() < 1e-3 && settled(0.0, 0.0)[1] == 0.6);
     assert!(settled(100.0, 0.0)[0] > 0.75, "a strong pull wins");
     assert!(settled(0.0, 500.0)[0] > 0.75, "one pixel beside 500 is not believed");
     // Of several parents, those that count as pixels speak where there are none.
-    let mean = |parents: [Parent; 3]| settle(&groups, &[parents; 2])[1];
-    let [near, far, room] = [Parent::of_pixels(0.2, 30.0), Parent::of_pixels(0.6, 10.0), Parent::pulling(0.9, 0.3)];
+    let mean = |parents: [Prior; 3]| shrink(&groups, &[parents; 2])[1];
+    let [near, far, room] =
+        [Prior::pseudo_pixels(0.2, 30.0), Prior::pseudo_pixels(0.6, 10.0), Prior::weighted(0.9, 0.3)];
     assert!((mean([near, far, room]) - 0.3).abs() < 1e-6 && (mean([room; 3]) - 0.9).abs() < 1e-6);
 }
 
@@ -408,7 +415,7 @@ fn halves_of_the_views_say_alike_much_of_each_segment() {
     let segment = vec![0, 1, 1, 1, 0, 1, 1, NONE];
     let cost = vec![[half::f16::ZERO; NODES]; 8];
     let say = vec![1.0, 5.0, 1.0, 1.0, 1.0, 3.0, 1.0, 1.0];
-    let evidence = Evidence { segment, cost, say, slope: vec![[0.0; NODES]; 2], variation: vec![] };
+    let evidence = Evidence { segment, cost, weight: say, slope: vec![[0.0; NODES]; 2], variation: vec![] };
     let half = evidence.halves(&views);
     assert_ne!(half[0], half[4]);
     // Of the second, views 0 to 3 say 5, 2, 3 and 1: 5 against 3 and 2, and 1 anywhere.
@@ -434,7 +441,7 @@ fn strip(count: u32) -> Adjacency {
 
 #[test]
 fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
-    use super::palette::Palettes;
+    use crate::fit::full::albedo::palette::Palettes;
     use crate::fit::settings::PaletteSettings;
     let settings = PaletteSettings::default();
     // Two paints, each texel off by up to 6 %, and one texel of neither.
@@ -456,9 +463,9 @@ fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
 
 #[test]
 fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
-    use super::local::{Said, Surface, refine};
-    use super::scan::Evidence;
-    use crate::fit::settings::LocalSettings;
+    use crate::fit::full::roughness::evidence::Evidence;
+    use crate::fit::full::roughness::finishes::{BlockGrid, BlockTallies, refine};
+    use crate::fit::settings::FinishSettings;
     use crate::specular_table::{NODES, node};
     let (width, texels) = (64u32, (0..64 * 16).collect::<Vec<u32>>());
     let halves = |t: u32| t % width < 32;
@@ -472,30 +479,22 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
                 std::array::from_fn(|k| half::f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
             })
             .collect::<Vec<[half::f16; NODES]>>(),
-        say: vec![1.0; texels.len()],
+        weight: vec![1.0; texels.len()],
         slope: vec![],
         variation: vec![],
     };
     let segment = vec![0; texels.len()];
     // Views take turns, texel by texel.
     let half: Vec<u8> = texels.iter().map(|t| ((t % width + t / width) % 2) as u8).collect();
-    let surface = Surface {
-        width: width as usize,
-        texels: &texels,
-        segment: &segment,
-        face: &segment,
-        heaviest: &texels,
-        half: &half,
-        block: 6.0,
-    };
-    let by = |surface: &Surface<'_>, evidence: &Evidence, settings: &LocalSettings| {
-        let blocks = surface.blocks(evidence);
-        refine(surface, &Said { by_all: blocks.clone(), by_plain: blocks }, &[0.2], &[0.2; 1024], settings)
+    let grid = BlockGrid { width: width as usize, texels: &texels, segment: &segment, face: &segment, block: 6.0 };
+    let by = |half: &[u8], evidence: &Evidence, settings: &FinishSettings| {
+        let blocks = grid.blocks(evidence, &texels, half);
+        refine(&grid, &BlockTallies { all: blocks.clone(), without_joints: blocks }, &[0.2], &[0.2; 1024], settings)
     };
     // By default a finish must have 500 pixels, about as many as each has here.
-    let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
+    let settings = FinishSettings { min_pixels: 200, ..FinishSettings::default() };
     let refined =
-        |is_smooth: &dyn Fn(u32) -> bool, depth, rough| by(&surface, &evidence(is_smooth, depth, rough), &settings);
+        |is_smooth: &dyn Fn(u32) -> bool, depth, rough| by(&half, &evidence(is_smooth, depth, rough), &settings);
     let clear = refined(&halves, 1.0, 0.4);
     assert!((clear[8] - 0.1).abs() < 0.01 && (clear[56] - 0.4).abs() < 0.02, "{} {}", clear[8], clear[56]);
     // A little more evidence changes little.
@@ -519,26 +518,25 @@ fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
     assert_eq!(refined(&halves, 1e-3, 0.4), [0.2; 1024]);
     assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
     assert_eq!(
-        by(&surface, &evidence(&halves, 1.0, 0.4), &LocalSettings { pixels: 600, ..settings.clone() }),
+        by(&half, &evidence(&halves, 1.0, 0.4), &FinishSettings { min_pixels: 600, ..settings.clone() }),
         [0.2; 1024]
     );
     // views that contradict each other, and one that nobody can.
     let odd = |t: u32| (t % width + t / width).is_multiple_of(2);
     assert_eq!(refined(&|t| halves(t) == odd(t), 1.0, 0.4), [0.2; 1024]);
-    let alone = Surface { half: &[0; 1024], ..surface };
-    assert_eq!(by(&alone, &evidence(&halves, 1.0, 0.4), &settings), [0.2; 1024]);
+    assert_eq!(by(&[0; 1024], &evidence(&halves, 1.0, 0.4), &settings), [0.2; 1024]);
 }
 
 /// What pixels of one segment say, each as much as any other.
 fn of_one_segment(cost: Vec<[half::f16; NODES]>) -> Evidence {
     let pixels = cost.len();
-    Evidence { segment: vec![0; pixels], cost, say: vec![1.0; pixels], slope: vec![], variation: vec![] }
+    Evidence { segment: vec![0; pixels], cost, weight: vec![1.0; pixels], slope: vec![], variation: vec![] }
 }
 
 #[test]
 fn the_blocks_of_a_face_speak_for_each_other() {
-    use super::local::{Said, Surface, refine};
-    use crate::fit::settings::LocalSettings;
+    use crate::fit::full::roughness::finishes::{BlockGrid, BlockTallies, refine};
+    use crate::fit::settings::FinishSettings;
     use crate::specular_table::{NODES, node};
     // Two walls of 10 blocks: one of 0.1, of which two blocks look like the other's 0.4 to both halves of the views.
     let texels: Vec<u32> = (0..60 * 12).collect();
@@ -554,13 +552,12 @@ fn the_blocks_of_a_face_speak_for_each_other() {
     let by_face = |face: &[u32]| {
         let half: Vec<u8> = texels.iter().map(|t| (t % 2) as u8).collect();
         let segment = vec![0; texels.len()];
-        let surface =
-            Surface { width: 60, texels: &texels, segment: &segment, face, heaviest: &texels, half: &half, block: 6.0 };
-        let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
-        let blocks = surface.blocks(&evidence);
+        let grid = BlockGrid { width: 60, texels: &texels, segment: &segment, face, block: 6.0 };
+        let settings = FinishSettings { min_pixels: 200, ..FinishSettings::default() };
+        let blocks = grid.blocks(&evidence, &texels, &half);
         refine(
-            &surface,
-            &Said { by_all: blocks.clone(), by_plain: blocks },
+            &grid,
+            &BlockTallies { all: blocks.clone(), without_joints: blocks },
             &[0.2],
             &vec![0.2; texels.len()],
             &settings,
@@ -577,8 +574,8 @@ fn the_blocks_of_a_face_speak_for_each_other() {
 
 #[test]
 fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
-    use super::local::{Said, Surface, refine};
-    use crate::fit::settings::LocalSettings;
+    use crate::fit::full::roughness::finishes::{BlockGrid, BlockTallies, refine};
+    use crate::fit::settings::FinishSettings;
     use crate::specular_table::{NODES, node};
     // 0.1 on the left, 0.3 on the right; what pixels see of every third column is twice as rough, for the joint in it.
     const WIDTH: u32 = 64;
@@ -592,21 +589,13 @@ fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
     let refined = |counts: &dyn Fn(u32) -> bool| {
         let half: Vec<u8> = texels.iter().map(|t| ((t % WIDTH + t / WIDTH) % 2) as u8).collect();
         let segment = vec![0; texels.len()];
-        let heaviest: Vec<u32> = texels.iter().map(|t| if counts(*t) { *t } else { NONE }).collect();
-        let surface = Surface {
-            width: WIDTH as usize,
-            texels: &texels,
-            segment: &segment,
-            face: &segment,
-            heaviest: &texels,
-            half: &half,
-            block: 6.0,
-        };
-        let plain = Surface { heaviest: &heaviest, ..surface }.blocks(&evidence);
-        let settings = LocalSettings { pixels: 200, ..LocalSettings::default() };
+        let dominant: Vec<u32> = texels.iter().map(|t| if counts(*t) { *t } else { NONE }).collect();
+        let grid = BlockGrid { width: WIDTH as usize, texels: &texels, segment: &segment, face: &segment, block: 6.0 };
+        let without_joints = grid.blocks(&evidence, &dominant, &half);
+        let settings = FinishSettings { min_pixels: 200, ..FinishSettings::default() };
         let roughness = refine(
-            &surface,
-            &Said { by_all: surface.blocks(&evidence), by_plain: plain },
+            &grid,
+            &BlockTallies { all: grid.blocks(&evidence, &texels, &half), without_joints },
             &[0.17],
             &vec![0.17; texels.len()],
             &settings,
@@ -623,29 +612,29 @@ fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
 
 #[test]
 fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
-    use super::scan::say;
+    use crate::fit::full::roughness::evidence::pixel_weights;
     use crate::specular_table::{NODES, nearest_node, node};
-    // 300 pixels of 1 cm² from beside, three of 100 cm² from afar: as much surface, a tenth of the say.
+    // 300 pixels of 1 cm² from beside, three of 100 cm² from afar: as much surface, a tenth of the weight.
     let area: Vec<f32> = (0..303).map(|p| if p < 300 { 1e-4 } else { 1e-2 }).collect();
-    let say = say(&area);
-    assert!((say.iter().sum::<f32>() / 303.0 - 1.0).abs() < 1e-5 && (say[302] / say[0] - 10.0).abs() < 1e-3);
+    let weight = pixel_weights(&area);
+    assert!((weight.iter().sum::<f32>() / 303.0 - 1.0).abs() < 1e-5 && (weight[302] / weight[0] - 10.0).abs() < 1e-3);
     // Near ones are told hardly anything by highlights, far ones clearly; in unequal numbers.
     let cost = |p: usize| -> [half::f16; NODES] {
         let (truth, depth): (f32, f32) = if p < 300 { (0.8, 0.01) } else { (0.1, 0.3) };
         std::array::from_fn(|k| half::f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
     };
-    let settled = |say: Vec<f32>| {
-        let evidence = Evidence { say, ..of_one_segment((0..303).map(cost).collect()) };
-        nearest_node(settle(&evidence.by_group(Partition { of: &evidence.segment, count: 1 }), &[[]])[0])
+    let settled = |weight: Vec<f32>| {
+        let evidence = Evidence { weight, ..of_one_segment((0..303).map(cost).collect()) };
+        nearest_node(shrink(&evidence.by_group(Partition { of: &evidence.segment, count: 1 }), &[[]])[0])
     };
-    assert!(settled(say) < nearest_node(0.2));
+    assert!(settled(weight.clone()) < nearest_node(0.2));
     // Negative control: every pixel alike.
     assert!(settled(vec![1.0; 303]) > nearest_node(0.6));
 }
 
 #[test]
 fn texels_that_no_pixel_sees_take_their_neighbours_label() {
-    use super::segments::spread;
+    use crate::fit::full::segments::spread;
     let known = |texel| [Some(1), None, Some(2)][usize::from(texel > 3) + usize::from(texel > 5)];
     let labels = spread((0..10).map(known).collect(), &strip(10), |_| 0);
     assert_eq!(labels, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
@@ -659,7 +648,7 @@ fn irradiance_takes_what_albedo_gives_up_but_not_of_metal() {
     let albedo = [Vec3A::new(0.3, 0.6, 0.5); 3];
     let painted = [Vec3A::new(0.6, 0.6, 0.25), Vec3A::new(0.6, 0.6, 0.25), Vec3A::ZERO];
     let metal = [false, true, false];
-    let found = super::with_what_albedo_gives_up(&irradiance, (&albedo, &painted), |t| !metal[t]);
+    let found = super::compensated_irradiance(&irradiance, (&albedo, &painted), |t| !metal[t]);
     for c in 0..3 {
         assert!((found[0][c] * painted[0][c] - irradiance[0][c] * albedo[0][c]).abs() < 1e-6, "{found:?}");
     }
@@ -673,10 +662,10 @@ fn every_view_has_curves_of_its_own() {
 
     use glam::Mat4;
 
-    use super::observations::Observer;
     use crate::camera::{Camera, Projection};
     use crate::capture::{Split, View};
     use crate::checkpoint::Checkpoints;
+    use crate::fit::full::observations::Observer;
     use crate::fit::settings::FullSettings;
     use crate::raster::Mask;
     let (scene, radiance) = room();
@@ -711,7 +700,7 @@ fn every_view_has_curves_of_its_own() {
 fn solved(toy: &Toy, settings: &AlbedoSettings) -> Vec<Vec3A> {
     let problem = toy.problem(settings);
     let mut albedo = problem.start();
-    problem.solve_at(&mut albedo, vec![0.3; toy.segment.len()], 4, Edges::WithoutSpecks);
+    problem.solve_at(&mut albedo, vec![0.3; toy.segment.len()], 4, EdgeGuide::Median);
     albedo
 }
 
@@ -758,7 +747,7 @@ fn what_is_taken_off_for_a_highlight_is_believed_to_a_share_of_itself() {
     let mut most = 0.0f32;
     for p in 0..toy.seen.len() {
         // As albedo, like the noise.
-        let highlight = Vec3A::from(toy.seen.curve(p).at(0.3).0) * problem.per_irradiance[p];
+        let highlight = Vec3A::from(toy.seen.curve(p).at(0.3).0) * problem.pi_over_e[p];
         let wrong = 0.5 * (highlight.x + highlight.y + highlight.z) / 3.0;
         let expected = (plain[p].powi(2) + wrong.powi(2)).sqrt();
         assert!((known[p] - expected).abs() < 1e-5 * expected, "pixel {p}: {} for {expected}", known[p]);
@@ -769,8 +758,8 @@ fn what_is_taken_off_for_a_highlight_is_believed_to_a_share_of_itself() {
 
 #[test]
 fn segments_without_evidence_take_what_is_nearest_to_them_in_the_hierarchy() {
-    use super::hierarchy::of_segments;
-    use super::segments::Segments;
+    use crate::fit::full::roughness::hierarchy::of_segments;
+    use crate::fit::full::segments::Segments;
     use crate::specular_table::node;
     // A segment that nothing is known of, one of its class in its room, one of its class elsewhere, and one of another
     // class.
@@ -787,6 +776,6 @@ fn segments_without_evidence_take_what_is_nearest_to_them_in_the_hierarchy() {
     let [unknown, room, elsewhere, other] = found([0.3, 0.6, 0.7])[..] else { panic!() };
     assert!((room - 0.3).abs() < 0.02 && (elsewhere - 0.6).abs() < 0.02 && (other - 0.7).abs() < 0.02);
     assert!((0.29..0.42).contains(&unknown), "{unknown} in a room where its class has 0.3, and 0.6 in another");
-    // Nothing is as rough as chalk by what pixels alone say.
+    // Nothing is as rough as chalk by what pixels alone weight.
     assert_eq!(found([1.0, 0.6, 0.7])[1], settings.cap);
 }

@@ -7,14 +7,14 @@ use std::time::Instant;
 
 pub use self::stages::{EpochLog, Stage};
 use self::stages::{Optimisation, Textures};
-use super::{Ground, Materials, emission};
+use super::{FitContext, Materials, emission};
 use crate::backend::Backend;
 use crate::bake;
 use crate::brdf::Masking;
 use crate::capture::View;
 use crate::diffuse::DiffuseModel;
 use crate::error::Result;
-use crate::fit::settings::FitSettings;
+use crate::fit::settings::PaperSettings;
 use crate::inpaint;
 use crate::lights::Lights;
 use crate::progress::Progress;
@@ -25,14 +25,14 @@ use views::{FitView, Surroundings};
 /// Fits the materials. The backend holds the full TBL and its lights, before and after; `irradiance` is E per texel.
 pub fn fit(
     backend: &mut dyn Backend,
-    ground: &Ground<'_>,
+    context: &FitContext<'_>,
     irradiance: Rgb,
     training: &[View],
-    settings: &FitSettings,
+    settings: &PaperSettings,
     progress: &dyn Progress,
     log: &mut dyn FnMut(&EpochLog),
 ) -> Result<Materials> {
-    let Ground { atlas, .. } = *ground;
+    let FitContext { atlas, .. } = *context;
     if training.iter().all(|view| view.semantic.is_none()) {
         progress.warn(
             "no view has semantic classes: everything counts as one class, within which roughness is propagated; full mode \
@@ -41,16 +41,16 @@ pub fn fit(
     }
     let pyramid = atlas.pyramid();
     let surroundings = Surroundings {
-        ground,
+        context,
         irradiance: &irradiance,
         pyramid: &pyramid,
         footprint_samples: settings.footprint_samples,
     };
-    let sources = Raster { data: emission(&ground.tbl.radiance, ground.emitters).collect(), ..ground.tbl.radiance };
+    let sources = Raster { data: emission(&context.tbl.radiance, context.emitters).collect(), ..context.tbl.radiance };
     backend.set_tbl(&sources, &Lights::none(backend.scene().mesh()))?;
     drop(sources);
     let views = surroundings.prepare(backend, training, progress)?;
-    backend.set_tbl(&ground.tbl.radiance, ground.lights)?;
+    backend.set_tbl(&context.tbl.radiance, context.lights)?;
     let texels = atlas.width * atlas.height;
     let mut textures = Textures {
         albedo: vec![settings.parameters.albedo_start; 3 * texels],
@@ -61,13 +61,14 @@ pub fn fit(
         pyramid: &pyramid,
         views: &views,
         settings,
+        seed: context.seed,
         progress,
         log,
         started: Instant::now(),
-        checkpoints: ground.checkpoints,
+        checkpoints: context.checkpoints,
     }
     .run(&mut textures)?;
-    let (albedo, roughness) = complete(backend, ground, &pyramid, &views, &textures)?;
+    let (albedo, roughness) = complete(backend, context, &pyramid, &views, &textures)?;
     Ok(Materials {
         albedo,
         roughness,
@@ -83,12 +84,12 @@ pub fn fit(
 /// the values that the fit started from.
 fn complete(
     backend: &mut dyn Backend,
-    ground: &Ground<'_>,
+    context: &FitContext<'_>,
     pyramid: &Pyramid,
     views: &[FitView],
     textures: &Textures,
 ) -> Result<(Rgb, Gray)> {
-    let Ground { atlas, texel, .. } = *ground;
+    let FitContext { atlas, texel, .. } = *context;
     let mut seen = vec![false; atlas.width * atlas.height];
     for view in views {
         let weight = backend.lookup_vjp(pyramid, &vec![1.0; view.points.len()], 1, &view.footprints)?;

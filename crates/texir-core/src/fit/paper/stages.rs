@@ -8,7 +8,7 @@ use crate::backend::{Backend, Gather, GroupTarget, Groups, Loss, Material, Mater
 use crate::checkpoint::{Array, Checkpoints, Step};
 use crate::error::{Error, Result};
 use crate::fit::adam::Adam;
-use crate::fit::settings::{FitSettings, OptimiserSettings};
+use crate::fit::settings::{OptimiserSettings, PaperSettings};
 use crate::progress::{Progress, Task, Uncounted};
 use crate::rng::hash2;
 use crate::surface::SurfacePoint;
@@ -71,7 +71,9 @@ pub struct Optimisation<'a> {
     /// The training views.
     pub views: &'a [FitView],
     /// Weights and schedule.
-    pub settings: &'a FitSettings,
+    pub settings: &'a PaperSettings,
+    /// Seed of the run.
+    pub seed: u32,
     /// Progress and cancellation.
     pub progress: &'a dyn Progress,
     /// Receives one entry per epoch.
@@ -258,7 +260,7 @@ impl<'a> Optimisation<'a> {
         done.iter().for_each(|epoch| (self.log)(epoch));
         for epoch in done.len() as u32..optimiser.epochs {
             let learning_rate = optimiser.learning_rate * optimiser.decay.powi((epoch / optimiser.decay_epochs) as i32);
-            let epoch_seed = hash2(hash2(self.settings.seed, stage as u32), epoch);
+            let epoch_seed = hash2(hash2(self.seed, stage as u32), epoch);
             let mut order: Vec<u32> = (0..views).collect();
             order.sort_by_key(|&v| hash2(epoch_seed, v));
             let (mut image, mut smooth) = (0.0, 0.0);

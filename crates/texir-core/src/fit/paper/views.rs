@@ -7,7 +7,7 @@ use glam::{Vec2, Vec3};
 use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, ShadePoint};
 use crate::capture::{Split, View};
 use crate::error::Result;
-use crate::fit::Ground;
+use crate::fit::FitContext;
 use crate::progress::{Progress, Task, Uncounted};
 use crate::raster::Rgb;
 use crate::rng::hash2;
@@ -39,7 +39,7 @@ pub struct FitView {
 /// What all views share while they are prepared.
 pub struct Surroundings<'a> {
     /// The scene and its light.
-    pub ground: &'a Ground<'a>,
+    pub context: &'a FitContext<'a>,
     /// E per texel.
     pub irradiance: &'a Rgb,
     /// Mips of the atlas.
@@ -96,7 +96,7 @@ impl Surroundings<'_> {
         let room_of = |i: usize| match (&rooms, view.room_id) {
             (Some(map), _) => map.data[used[i] as usize],
             (None, Some(id)) => id,
-            (None, None) => self.ground.plan.room_of(Vec3::from(points[i].position), Vec3::from(points[i].normal)),
+            (None, None) => self.context.plan.room_of(Vec3::from(points[i].position), Vec3::from(points[i].normal)),
         };
         let mut is_highlight = vec![false; points.len()];
         highlights.iter().for_each(|&h| is_highlight[h as usize] = true);
@@ -113,7 +113,7 @@ impl Surroundings<'_> {
     }
 
     fn is_emitter(&self, uv: Vec2) -> bool {
-        self.ground.emitters.data[self.ground.emitters.nearest(uv)]
+        self.context.emitters.data[self.context.emitters.nearest(uv)]
     }
 
     /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.
@@ -125,7 +125,7 @@ impl Surroundings<'_> {
         progress: &dyn Progress,
     ) -> Result<Vec<u32>> {
         let mirror = vec![Material::dielectric([0.0; 3], HIGHLIGHT_ROUGHNESS); points.len()];
-        let seed = name.bytes().fold(self.ground.seed, |s, b| hash2(s, u32::from(b)));
+        let seed = name.bytes().fold(self.context.seed, |s, b| hash2(s, u32::from(b)));
         let sampling = Sampling { samples: HIGHLIGHT_SAMPLES, seed };
         let shaded = backend.shade(points, &mirror, sampling, RoughnessGradient::Exact, &Uncounted(progress))?;
         Ok((0..points.len() as u32).filter(|&i| shaded[i as usize].radiance.iter().any(|&c| c > 0.0)).collect())

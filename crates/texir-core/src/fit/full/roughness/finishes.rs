@@ -1,0 +1,262 @@
+//! Roughness that varies within a segment: worn tracks, wet spots, a polished patch, a tiled wall among painted ones.
+//!
+//! A segment has one finish or a mixture of two. It is cut into square blocks of the atlas, each with a posterior share
+//! of the two by its pixels, its neighbours and its face: blocks of one tiled wall support each other, and uncertain ones
+//! stay in between. A second finish is trusted by its held-out gain: blocks are free enough to fit errors, which differ
+//! from view to view, so the shares that one half of the views estimates are scored on the other half.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::cross_validation::ramp;
+use super::evidence::{Evidence, Tally, minimum};
+use crate::fit::adjacency::NONE;
+use crate::fit::settings::FinishSettings;
+use crate::specular_table::NODES;
+
+/// The texels of an atlas in square blocks.
+pub struct BlockGrid<'a> {
+    /// Columns of the atlas.
+    pub width: usize,
+    /// Atlas index of each texel.
+    pub texels: &'a [u32],
+    /// Segment of each texel.
+    pub segment: &'a [u32],
+    /// The flat piece of it that each texel is in.
+    pub face: &'a [u32],
+    /// Edge of a block, texels.
+    pub block: f32,
+}
+
+/// Segment, face, column and row of a block.
+pub type Place = (u32, u32, i32, i32);
+
+/// Tallies of a block's pixels, by half of the views.
+pub type SplitTally = [Tally; 2];
+
+/// Blocks in the order of their places.
+pub type BlockList = [(Place, SplitTally)];
+
+impl BlockGrid<'_> {
+    /// The blocks that pixels see, in the order of their places. Pixels have a `dominant` texel, the one that they see
+    /// most of, or [`NONE`], and belong to a `half` of the views ([`Evidence::halves`]).
+    pub fn blocks(&self, evidence: &Evidence, dominant: &[u32], half: &[u8]) -> Vec<(Place, SplitTally)> {
+        let mut blocks: BTreeMap<Place, SplitTally> = BTreeMap::new();
+        for (pixel, &t) in dominant.iter().enumerate().filter(|(_, t)| **t != NONE) {
+            let t = t as usize;
+            let [x, y] = self.column_row(t).map(|at| at as i32);
+            let halves = blocks.entry((self.segment[t], self.face[t], x, y)).or_default();
+            halves[usize::from(half[pixel])].add(evidence, pixel);
+        }
+        blocks.into_iter().collect()
+    }
+
+    /// The four blocks around a texel with their bilinear weights.
+    pub fn between(&self, t: usize) -> [(Place, f32); 4] {
+        let [x, y] = self.column_row(t).map(|at| at - 0.5);
+        [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)].map(|(dx, dy)| {
+            let (bx, by) = (x.floor() + dx, y.floor() + dy);
+            let near = (1.0 - (x - bx).abs()) * (1.0 - (y - by).abs());
+            ((self.segment[t], self.face[t], bx as i32, by as i32), near)
+        })
+    }
+
+    /// Where a texel is, in blocks.
+    fn column_row(&self, t: usize) -> [f32; 2] {
+        let texel = self.texels[t] as usize;
+        [(texel % self.width) as f32 / self.block, (texel / self.width) as f32 / self.block]
+    }
+}
+
+/// [`BlockGrid::blocks`] by all pixels, which locate the finishes, and by those that see no joints, which give their
+/// roughness (where there are enough).
+pub struct BlockTallies {
+    pub all: Vec<(Place, SplitTally)>,
+    pub without_joints: Vec<(Place, SplitTally)>,
+}
+
+/// Roughness of every texel where segments have two finishes, from the `roughness` by segment and colour. `whole` is
+/// that of each segment.
+pub fn refine(
+    grid: &BlockGrid<'_>,
+    BlockTallies { all, without_joints }: &BlockTallies,
+    whole: &[f32],
+    roughness: &[f32],
+    settings: &FinishSettings,
+) -> Vec<f32> {
+    let segments: Vec<&BlockList> = all.chunk_by(|a, b| a.0.0 == b.0.0).collect();
+    let changes: BTreeMap<Place, f32> = segments
+        .into_par_iter()
+        .flat_map_iter(|blocks| two_finishes(blocks, without_joints, whole, settings))
+        .collect();
+    let blended = |t: usize| {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (place, near) in grid.between(t) {
+            if let Some(times) = changes.get(&place) {
+                sum += near * times;
+                weight += near;
+            }
+        }
+        roughness[t] * if weight > 0.0 { sum / weight } else { 1.0 }
+    };
+    (0..roughness.len()).into_par_iter().map(blended).collect()
+}
+
+/// How many times as rough as their segment its blocks are; nothing where one finish is as good. `without_joints` has those
+/// of all segments.
+fn two_finishes(
+    blocks: &BlockList,
+    without_joints: &BlockList,
+    whole: &[f32],
+    settings: &FinishSettings,
+) -> Vec<(Place, f32)> {
+    let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
+    let neighbours = Neighbours::of(blocks);
+    let pair = best_pair(&own, &neighbours);
+    let trust = ramp(settings.gain, gain(blocks, &neighbours, pair, settings));
+    let rough = neighbours.shares(&own, pair);
+    let of_all = finishes(&own, &rough);
+    let few = |finish: &Tally| finish.pixels < f64::from(settings.min_pixels);
+    if trust == 0.0 || of_all.iter().any(few) {
+        return Vec::new();
+    }
+    let of_plain = |(place, _): &(Place, SplitTally)| {
+        let block = without_joints.binary_search_by_key(place, |(place, _)| *place).ok();
+        block.map_or(Tally::default(), |block| Tally::sum(without_joints[block].1.iter()))
+    };
+    let plain = finishes(&blocks.iter().map(of_plain).collect::<Vec<_>>(), &rough);
+    let whole = whole[blocks[0].0.0 as usize];
+    let times = [0, 1].map(|finish| {
+        let says = if few(&plain[finish]) { &of_all[finish] } else { &plain[finish] };
+        (minimum(&says.misfit()) / whole).powf(trust)
+    });
+    let of_block = |share: &f64| times[0] + *share as f32 * (times[1] - times[0]);
+    blocks.iter().map(|(place, _)| *place).zip(rough.iter().map(of_block)).collect()
+}
+
+/// The two nodes, smoother first, that explain the blocks best: of all pairs, each block taking the better of the two,
+/// and from there by what their shares ask for.
+fn best_pair(own: &[Tally], neighbours: &Neighbours) -> [usize; 2] {
+    /// Almost all pairs stay after the first.
+    const ROUNDS: usize = 3;
+    let of_pair = |[smooth, rough]: [usize; 2]| -> f64 {
+        own.iter().map(|block| block.cost[smooth].min(block.cost[rough])).sum()
+    };
+    let pairs = (0..NODES).flat_map(|smooth| (smooth + 1..NODES).map(move |rough| [smooth, rough]));
+    let first = pairs.map(|pair| (of_pair(pair), pair)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let mut pair = first.map_or([0, 1], |(_, pair)| pair);
+    for _ in 0..ROUNDS {
+        let asked = finishes(own, &neighbours.shares(own, pair)).map(|finish| finish.best_node());
+        if asked[0] >= asked[1] || asked == pair {
+            break;
+        }
+        pair = asked;
+    }
+    pair
+}
+
+/// The tallies of the smoother finish and of the rougher one, of which every block has the share `rough`.
+fn finishes(tallies: &[Tally], rough: &[f64]) -> [Tally; 2] {
+    tallies.iter().zip(rough).fold([Tally::default(); 2], |[mut smoother, mut rougher], (tally, rough)| {
+        smoother.merge(&tally.times(1.0 - rough));
+        rougher.merge(&tally.times(*rough));
+        [smoother, rougher]
+    })
+}
+
+/// Held-out gain: fall of the log mean cost from the other half's best single finish to the one of `pair` further from
+/// it, weighted by that half's shares; times n/(n + `half_pixels`), 0 if n is.
+fn gain(blocks: &BlockList, neighbours: &Neighbours, pair: [usize; 2], settings: &FinishSettings) -> f32 {
+    let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
+    for [mine, other] in [[0, 1], [1, 0]] {
+        let asks: Vec<Tally> = blocks.iter().map(|(_, halves)| halves[other]).collect();
+        let single = Tally::sum(asks.iter()).best_node();
+        let second = usize::from(single.abs_diff(pair[0]) < single.abs_diff(pair[1]));
+        let rough = neighbours.shares(&asks, pair);
+        for (((_, halves), asks), rough) in blocks.iter().zip(&asks).zip(rough) {
+            // Of blocks that it does not see, the other half says nothing.
+            if asks.pixels > 0.0 {
+                let block = halves[mine].times([1.0 - rough, rough][second]);
+                judged.merge(&block);
+                one += block.cost[single];
+                two += block.cost[pair[second]];
+            }
+        }
+    }
+    if judged.pixels == 0.0 {
+        return 0.0;
+    }
+    let pixels = judged.pixels as f32;
+    (judged.ln_mean(one) - judged.ln_mean(two)) * pixels / (pixels + settings.half_pixels)
+}
+
+/// Which blocks of a segment are neighbours.
+struct Neighbours {
+    /// The blocks of each face.
+    faces: Vec<Range<usize>>,
+    /// Those around each block, on its face.
+    beside: Vec<Vec<usize>>,
+}
+
+impl Neighbours {
+    fn of(blocks: &BlockList) -> Self {
+        let face_after = |end: &mut usize, face: &BlockList| {
+            let first = std::mem::replace(end, *end + face.len());
+            Some(first..*end)
+        };
+        let at = |place: Place| blocks.binary_search_by_key(&place, |(place, _)| *place).ok();
+        let beside = |&(segment, face, x, y): &Place| {
+            let around = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+            around.into_iter().filter_map(|(x, y)| at((segment, face, x, y))).collect()
+        };
+        Self {
+            faces: blocks.chunk_by(|a, b| a.0.1 == b.0.1).scan(0, face_after).collect(),
+            beside: blocks.iter().map(|(place, _)| beside(place)).collect(),
+        }
+    }
+
+    /// The posterior of the rougher finish of `pair` in each block, by its `tallies`, by its face's share as a prior, and
+    /// by the blocks beside it. A face's share is the mean of its blocks', shrunk to the segment's where pixels are few.
+    /// (Expectation maximisation over a mixture of two, the field of the neighbours by its mean; Celeux, Forbes and
+    /// Peyrard, "EM procedures using mean field-like approximations", 2003.)
+    fn shares(&self, tallies: &[Tally], [smooth, rough]: [usize; 2]) -> Vec<f64> {
+        /// Log odds that a neighbour, all of one finish, adds to that finish.
+        const NEIGHBOUR_LOG_ODDS: f64 = 1.0;
+        /// Pixels at which a face's own share counts as much as its segment's.
+        const PRIOR_PIXELS: f64 = 30.0;
+        /// Least share of either finish in a face.
+        const LEAST: f64 = 0.05;
+        /// EM iterations: with many, tiny changes decide whether a face collapses to one finish.
+        const ROUNDS: usize = 5;
+        let odds = |tally: &Tally| {
+            let likelihood = tally.ln_likelihood();
+            f64::from(likelihood[rough] - likelihood[smooth])
+        };
+        let odds: Vec<f64> = tallies.iter().map(odds).collect();
+        let mut share = vec![0.5; tallies.len()];
+        let mut of_face = vec![0.5; self.faces.len()];
+        for _ in 0..ROUNDS {
+            let likely = |block: usize, of_face: f64| {
+                let lent: f64 =
+                    self.beside[block].iter().map(|beside| NEIGHBOUR_LOG_ODDS * (2.0 * share[*beside] - 1.0)).sum();
+                1.0 / (1.0 + (1.0 - of_face) / of_face * (-odds[block] - lent).exp())
+            };
+            let faces = self.faces.iter().zip(&of_face);
+            share = faces.flat_map(|(face, of_face)| face.clone().map(|block| likely(block, *of_face))).collect();
+            let sums = |part: Range<usize>| {
+                let part = share[part.clone()].iter().zip(&tallies[part]);
+                part.fold([0.0; 2], |[rough, all], (share, tally)| [rough + share * tally.pixels, all + tally.pixels])
+            };
+            let [rough, all] = sums(0..share.len());
+            let of_segment = rough / all.max(f64::MIN_POSITIVE);
+            let of = |face: &Range<usize>| {
+                let [rough, all] = sums(face.clone());
+                ((rough + PRIOR_PIXELS * of_segment) / (all + PRIOR_PIXELS)).clamp(LEAST, 1.0 - LEAST)
+            };
+            of_face = self.faces.iter().map(of).collect();
+        }
+        share
+    }
+}

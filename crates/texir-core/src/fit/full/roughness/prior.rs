@@ -1,0 +1,63 @@
+//! Priors on a group's roughness, and shrinkage towards them.
+
+use rayon::prelude::*;
+
+use super::evidence::{Tally, minimum};
+use crate::specular_table::node;
+
+/// A prior on a group's roughness: the penalty (weight + pseudo_count/n) (2 (r − roughness))² beside ln(mean cost).
+#[derive(Clone, Copy, Debug)]
+pub struct Prior {
+    /// Its mean.
+    pub roughness: f32,
+    /// Constant weight, whatever the group's pixels.
+    pub weight: f32,
+    /// Weight as of so many pixels: it counts less the more pixels the group has.
+    pub pseudo_count: f32,
+}
+
+impl Prior {
+    /// One of constant weight.
+    pub fn weighted(roughness: f32, weight: f32) -> Self {
+        Self { roughness, weight, pseudo_count: 0.0 }
+    }
+
+    /// One that counts as so many pixels.
+    pub fn pseudo_pixels(roughness: f32, pseudo_count: f32) -> Self {
+        Self { roughness, weight: 0.0, pseudo_count }
+    }
+}
+
+/// Roughness of every group by its pixels, shrunk to its `priors`. A group without pixels takes the mean of its priors by
+/// their pseudo-counts, or else by their weights.
+pub fn shrink<const N: usize>(groups: &[Tally], priors: &[[Prior; N]]) -> Vec<f32> {
+    groups
+        .par_iter()
+        .zip(priors)
+        .map(|(tally, priors)| {
+            if tally.pixels == 0.0 {
+                return mean(priors);
+            }
+            let objective = tally.objective();
+            let drawn = |k: usize| -> f32 {
+                let by = |p: &Prior| {
+                    (p.weight + p.pseudo_count / tally.pixels as f32) * (2.0 * (node(k) - p.roughness)).powi(2)
+                };
+                priors.iter().map(by).sum()
+            };
+            minimum(&std::array::from_fn(|k| objective[k] + drawn(k)))
+        })
+        .collect()
+}
+
+/// The priors' own mean.
+fn mean(priors: &[Prior]) -> f32 {
+    let by = |weight: fn(&Prior) -> f32| {
+        priors.iter().fold((0.0, 0.0), |(sum, all), p| (sum + weight(p) * p.roughness, all + weight(p)))
+    };
+    let (sum, all) = match by(|p| p.pseudo_count) {
+        (_, 0.0) => by(|p| p.weight),
+        by_count => by_count,
+    };
+    if all > 0.0 { sum / all } else { priors.iter().map(|p| p.roughness).sum::<f32>() / priors.len().max(1) as f32 }
+}

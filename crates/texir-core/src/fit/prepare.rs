@@ -1,0 +1,118 @@
+//! What a fit sets out with: the light of the scene, in a unit that numbers here hold well, and the views.
+
+use std::path::Path;
+
+use super::memory;
+use super::settings::{FitSettings, Mode};
+use crate::atlas::{Atlas, crowded};
+use crate::backend::Backend;
+use crate::capture::survey::Survey;
+use crate::capture::{Tbl, View};
+use crate::error::Result;
+use crate::light_unit::{scale, scale_views, unit};
+use crate::progress::Progress;
+use crate::raster::times;
+use crate::tbl::{self, TblOptions};
+
+/// What a fit sets out with.
+pub(super) struct Prepared {
+    pub tbl: Tbl,
+    pub atlas: Atlas,
+    /// The training views,
+    pub training: Vec<View>,
+    /// and as the fit of materials reads them.
+    pub views: Vec<View>,
+    /// What all of its light was multiplied with: see [`unit`](fn@unit).
+    pub unit: f32,
+}
+
+/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training
+/// views.
+pub(super) fn prepare(
+    backend: &mut dyn Backend,
+    (given, mut training): (Option<&Path>, Vec<View>),
+    settings: &FitSettings,
+    progress: &dyn Progress,
+) -> Result<Prepared> {
+    let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
+    let size = match (settings.atlas_size, &given) {
+        (0, Some(tbl)) => tbl.radiance.size(),
+        (0, None) => {
+            let side = memory::default_side(&training, backend.scene().mesh(), settings);
+            [side, side]
+        }
+        (size, _) => [size, size],
+    };
+    if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
+        progress.warn(&format!(
+            "the HDR texture has {} texels, and fit.atlas_size asks for {}: it is not used, but made anew of the views",
+            times(tbl.radiance.size()),
+            times(size)
+        ));
+    }
+    let given = given.filter(|tbl| tbl.radiance.size() == size);
+    let is_given = given.is_some();
+    let atlas = Atlas::new(backend, [size[0], size[1]])?;
+    crowded(backend, size)?.iter().for_each(|what| progress.warn(what));
+    // Before the first long step: what does not fit in memory is refused.
+    let mut views = memory::affordable(&training, (backend.scene().mesh(), &atlas), settings, progress)?;
+    let survey = Survey::new(backend, &training, progress)?;
+    survey.warnings().iter().for_each(|what| progress.warn(what));
+    let unit = unit(survey.radiance());
+    scale_views(training.iter_mut().chain(&mut views), unit);
+    let mut tbl = match given {
+        Some(mut tbl) => {
+            scale(&mut tbl.radiance, unit);
+            tbl
+        }
+        None => tbl::build_in(backend, &atlas, &training, &TblOptions::default(), progress)?,
+    };
+    if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
+        tbl = tbl::resolve_sources(backend, &atlas, &tbl, &training, progress)?;
+    }
+    Ok(Prepared { tbl, atlas, training, views, unit })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use bytesize::ByteSize;
+
+    use super::*;
+    use crate::fit::lit_square::{LitSquare, SIDE};
+    use crate::raster::Rgb;
+
+    /// Takes down what is begun.
+    #[derive(Default)]
+    struct Begun(Mutex<Vec<String>>);
+
+    impl Progress for Begun {
+        fn start(&self, task: &str, _: u64, _: &str) {
+            self.0.lock().unwrap().push(task.to_owned());
+        }
+        fn advance(&self, _: u64) {}
+        fn finish(&self) {}
+        fn warn(&self, _: &str) {}
+        fn cancelled(&self) -> bool {
+            false
+        }
+    }
+
+    #[test]
+    fn too_little_memory_is_refused_before_anything_is_begun() {
+        let square = LitSquare::new();
+        let views = square.views(&Rgb::filled(SIDE, SIDE, [1.0; 3]), [16, 8]);
+        let begun = |max_memory| {
+            let settings = FitSettings { atlas_size: SIDE, max_memory, ..FitSettings::default() };
+            let progress = Begun::default();
+            let lit = prepare(&mut square.backend(), (None, views.clone()), &settings, &progress);
+            (lit.map(|lit| lit.views.len()).map_err(|e| e.to_string()), progress.0.into_inner().unwrap())
+        };
+        let (refused, tasks) = begun(ByteSize(1));
+        assert!(refused.unwrap_err().contains("max_memory is 1 B") && tasks.is_empty(), "{tasks:?}");
+        // Negative control.
+        let (lit, tasks) = begun(ByteSize::gib(1));
+        assert!(lit == Ok(5) && tasks.contains(&"texture-based lighting".to_owned()), "{tasks:?}");
+    }
+}
