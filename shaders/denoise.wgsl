@@ -1,5 +1,5 @@
-// Denoising of irradiance by local regression, guided by two estimates of every point (the twin's module says how and
-// whence). Five passes: `smooth_halves`, `measure_noise`, `regress`, `clean`, `conserve`.
+// Denoising of irradiance by local regression, guided by two half-estimates of every point (method and references in
+// texir-core's denoise.rs). Five passes: `smooth_halves`, `measure_noise`, `regress`, `clean`, `conserve`.
 //
 // In each, one thread owns one point and gathers from those around it; no barriers. Points are in the order of the
 // cells that they are searched in. Per point, `regress` and `conserve` read some 550 others (32 bytes, and what those
@@ -30,7 +30,7 @@ struct Estimate {
 // What a point's closest neighbours tell about it.
 struct Smoothed {
     a: vec3f,
-    // Variance of what is smoothed as a share of a point's.
+    // Variance of the smoothed value over that of a single point: Σ w² / (Σ w)².
     share: f32,
     b: vec3f,
     // Square of the point's value.
@@ -150,7 +150,7 @@ fn smooth_halves(
     }
     a /= weight;
     b /= weight;
-    // The point's own value beside what is brighter, the smoothed one where it is bright by chance.
+    // The smaller: the own value beside something brighter, the smoothed one of a firefly.
     let level = min(square((a + b) * 0.5), square((estimate.a + estimate.b) * 0.5));
     smoothed[i] = Smoothed(a, squares / (weight * weight), b, max(level, params.tiny));
 }

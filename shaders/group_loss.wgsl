@@ -73,8 +73,8 @@ fn sum_over_threads(thread: u32, value: vec2f) -> vec2f {
     return total;
 }
 
-// Writes the loss and the gradient of the members [first, end), drawn to `aim`; `through_aim` (0 or 1) lets the
-// gradient flow through the mean: sign_i − mean sign, times the share.
+// Writes the L1 loss of the members [first, end) against `aim` and its gradient: share · (sign_i − through_aim · mean
+// sign), where `through_aim` is 1 if `aim` is their mean and 0 if it is held fixed.
 fn draw(job: Job, thread: u32, first: u32, aim: f32, through_aim: f32) {
     let count = f32(max(job.end - first, 1u));
     var local = vec2f(0.0);

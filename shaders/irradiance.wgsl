@@ -51,8 +51,7 @@ struct Gathered {
 @group(1) @binding(0) var<uniform> params: IrradianceParams;
 @group(1) @binding(1) var<storage, read> points: array<SurfacePoint>;
 @group(1) @binding(2) var<storage, read_write> gathered: array<Gathered>;
-// The samples of this dispatch, those of similar directions one after another: lanes that run in step read the same
-// nodes.
+// Sample indices of this dispatch, sorted along a Hilbert curve: lanes in lockstep trace similar directions.
 @group(1) @binding(3) var<storage, read> sample_order: array<u32>;
 
 // L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s) of a sample in `direction` that met `hit`, and 1 where it met a back. What

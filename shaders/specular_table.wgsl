@@ -20,7 +20,7 @@ const LOBES: u32 = 5u;
 // Threads per pixel: a divisor of NODES, of which WORKGROUP is a multiple.
 const LANES: u32 = 8u;
 
-// What the samples of a pipeline are drawn from: a constant, so that none pays for the directions of another.
+// The sampling technique of a pipeline: a constant, so that each compiles its own directions alone.
 override TECHNIQUE: u32 = 0u;
 const FROM_LOBES: u32 = 0u;
 const FROM_COSINE: u32 = 1u;

@@ -29,11 +29,11 @@ struct LightGrid {
     one_sided: u32,
 }
 
-// What is no light, then the lights, cluster by cluster.
+// Entry 0 stands for all that is no light (density 0); then the lights, cluster by cluster.
 @group(0) @binding(5) var<storage, read> light_primitives: array<LightPrimitive>;
-// Three lists, one after another, as a device binds eight buffers unless it is asked for more: per primitive, which
-// light it is; per cell (x fastest) and facing, six to a cell, the number of its table; per cluster its first light,
-// and at last where the lights end.
+// Three concatenated lists, as eight storage buffers are the default limit: per primitive, its light's entry above; per
+// cell (x fastest) and facing, six to a cell, the number of its table; per cluster its first light, and at last where the
+// lights end.
 @group(0) @binding(6) var<storage, read> light_index: array<u32>;
 // Tables of a number per cluster: the probability of it and those before it.
 @group(0) @binding(7) var<storage, read> light_tables: array<f32>;
@@ -46,7 +46,7 @@ struct LightPoint {
     triangle: u32,
 }
 
-// Where the table begins that holds at a point of the surface.
+// Offset in light_tables of the table for a surface point; 0, the global one, outside the grid.
 fn light_table(position: vec3f, normal: vec3f) -> u32 {
     let q = floor((position - light_grid.origin) * light_grid.per_metre);
     let inside = all(q >= vec3f(0.0)) && all(q < vec3f(light_grid.size));

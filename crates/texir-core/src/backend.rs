@@ -66,11 +66,11 @@ pub enum Sequences {
         /// Which stretch.
         part: u32,
     },
-    /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Those of a
-    /// block of 32 × 32 share a sequence, and each draws a stretch of its own; along a Z curve through the block these
-    /// continue each other. One texel's error is as by sequences of its own, but neighbours' errors cancel, so that a
-    /// denoiser finds less to remove (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error
-    /// via Hierarchical Ordering of Pixels", SIGGRAPH Asia 2020).
+    /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Each block of 32 ×
+    /// 32 shares one sequence, of which its texels draw consecutive stretches in order of a Z curve. A texel's own error
+    /// is as with [`Sequences::Own`], but neighbours' errors cancel, which leaves a denoiser less to remove (Ahmed and
+    /// Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of Pixels",
+    /// SIGGRAPH Asia 2020).
     Shared {
         /// Texels in a row, at least 1.
         width: u32,
@@ -83,8 +83,7 @@ pub enum Sequences {
 }
 
 impl Sequences {
-    /// Of a run of some `seed`, the seed of the sequence that the point with this number draws from, and which stretch
-    /// of it.
+    /// The seed of the sequence that point `number` draws from, in a run of this `seed`, and its stretch of it.
     pub fn of(self, seed: u32, number: u32) -> (u32, u32) {
         match self {
             Self::Own { part } => (hash2(seed, number), part),
@@ -276,13 +275,13 @@ pub trait Backend {
     /// The scene that the passes run on.
     fn scene(&self) -> &Arc<Scene>;
 
-    /// Sets the radiance texture that [`Backend::irradiance`] and [`Backend::shade`] gather (linear RGB, nearest texel;
-    /// rays that miss the mesh see the environment), and the lights in it that the gather samples. Errors on radiance
-    /// outside 0 to [`BRIGHTEST`], and on lights of another mesh.
+    /// Sets the radiance texture that [`Backend::irradiance`], [`Backend::shade`] and [`Backend::specular_tables`] look up
+    /// at ray hits (linear RGB, nearest texel), and the lights in it that the first and the last sample. Errors on
+    /// radiance outside 0 to [`BRIGHTEST`], and on lights of another mesh.
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
 
-    /// Sets what [`Backend::irradiance`] and [`Backend::shade`] see along rays that miss the mesh; `None`, as at first,
-    /// is black.
+    /// Sets what rays of [`Backend::irradiance`] and [`Backend::shade`] that miss the mesh see: at first `None`, black.
+    /// [`Backend::specular_tables`] ignores it.
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
     /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres.
@@ -294,9 +293,9 @@ pub trait Backend {
     /// borders).
     fn texels(&mut self, size: [usize; 2], rows: Range<usize>) -> Result<Vec<Option<TexelHit>>>;
 
-    /// Irradiance gather at every point: cosine-distributed samples and samples of lights and bright sky, combined by
-    /// the balance heuristic; unbiased for any split. The backs of lights are black. Advances `progress` by the rays
-    /// traced.
+    /// Irradiance at every point: cosine samples and samples of the lights and the bright sky, combined by the balance
+    /// heuristic; unbiased for any split. Back faces of lights are black, with [`Lights::one_sided`] all back faces.
+    /// Advances `progress` by the rays requested.
     fn irradiance(&mut self, points: &[SurfacePoint], gather: Gather, progress: &dyn Progress)
     -> Result<Vec<Gathered>>;
 
@@ -309,10 +308,9 @@ pub trait Backend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>>;
 
-    /// Denoise: the mean of two gathers of irradiance at every point without most of its noise ([`crate::denoise`]).
-    /// What is further than some twenty-five texels from a point does not change a bit of its result, unless so much
-    /// lies around some point that a GPU leaves all to the processor, which rounds otherwise (65,000 points). Of
-    /// `progress` it asks whether to stop.
+    /// Denoise: the mean of two gathers of irradiance at every point without most of its noise ([`crate::denoise`]). A
+    /// result depends on points within about 25 texels, to the bit, unless some neighbourhood holds over 65,000 points: a
+    /// GPU then leaves all to the CPU, which rounds differently. `progress` is only polled for cancellation.
     fn denoise(&mut self, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.

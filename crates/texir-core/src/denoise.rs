@@ -9,8 +9,8 @@
 //! Renderings", EGSR 2016). And what both halves have beyond their fits is no noise: it stays, which keeps shadows too
 //! thin for the fit to see.
 //!
-//! Where few samples bring most of the light, what one half found is no more than noise to the other, and is lost. What
-//! texels of like brightness lose on average, as far as that is more than chance, is therefore given back to them.
+//! Where few samples carry most of the light (fireflies), each half takes the other's for noise and loses them. The mean
+//! loss of texels of similar brightness, as far as it is significant, is therefore added back to them.
 //!
 //! The pass is [`Backend::denoise`](crate::backend::Backend::denoise); this is what its implementations share.
 
@@ -27,7 +27,7 @@ pub const GUIDE_RADIUS: f32 = 1.6;
 /// Radius within which noise is measured, texels: so wide that a texel's own noise hardly sets how much it is smoothed,
 /// which would keep dark texels dark and not bright ones bright.
 pub const NOISE_RADIUS: f32 = 3.2;
-/// Radius within which texels tell together what the fits miss, texels.
+/// Radius over which the residual that the fits miss is pooled, texels.
 pub const MISS_RADIUS: f32 = 2.5;
 /// How far away a point may be that has a say in what becomes of another, texels.
 pub(crate) const REACH: f32 = RADIUS + MISS_RADIUS + RADIUS + GUIDE_RADIUS;
@@ -40,9 +40,8 @@ pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share
 /// of the value. Noise makes the fit as linear as this lets it.
 pub const CURVATURE: f32 = 0.5;
-/// What both halves have beyond their fits is told from chance where it is more than this many times its variance.
-/// Halves that are parts of one lattice also share what is left of the whole's error, where independent ones share
-/// none.
+/// The halves' residual covariance counts as signal as far as it exceeds this many times the residual's variance: halves
+/// that are parts of one lattice are correlated, where independent ones are not.
 pub const CHANCE: f32 = 1.25;
 /// What is lost on average is given back as far as it is more than this many of its standard errors.
 pub const SIGNIFICANT: f32 = 2.0;

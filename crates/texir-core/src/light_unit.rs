@@ -1,14 +1,12 @@
-//! The unit in which light is computed with: some steps take radiance below a thousandth for none, and half floats and
-//! shared exponents end. So that results do not depend on whether images are in nits or in shares of white, light is
-//! brought to about one first, whatever it was in.
+//! Scales radiance to about 1 before computing, as some steps drop radiance below a thousandth and half floats and shared
+//! exponents have little range: results do not depend on the capture's unit (nits, shares of white).
 
 use crate::capture::View;
 use crate::error::Result;
 use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, mean_of_channels};
 
-/// What light of this mean radiance is multiplied with while it is computed with, which brings it to between a half and
-/// one: a power of two, so that the way there and back changes no digit.
+/// The factor that brings radiance of this mean to (½, 1]: a power of two, so that scaling there and back is exact.
 pub fn unit(radiance: f64) -> f32 {
     let is_known = radiance > 0.0 && radiance.is_finite();
     // The inverse is a number as well.

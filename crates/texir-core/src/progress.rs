@@ -57,7 +57,7 @@ impl Progress for Silent {
     }
 }
 
-/// Tells of no task: for what is a part of one, or happens besides. It can be stopped, and warns.
+/// Forwards warnings and cancellation, but reports no task or progress.
 pub(crate) struct Uncounted<'a>(pub &'a dyn Progress);
 
 impl Progress for Uncounted<'_> {
@@ -72,7 +72,7 @@ impl Progress for Uncounted<'_> {
     }
 }
 
-/// Names tasks after what they are for as well, as one pass may run for several things in turn.
+/// Appends a suffix to the names of tasks, for passes that run several times for different purposes.
 pub struct Named<'a> {
     /// Where it is reported.
     pub progress: &'a dyn Progress,

@@ -77,9 +77,8 @@ pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
 /// Cells along an edge of a square that [`along_z_curve`] goes through.
 pub const Z_SIDE: u32 = 32;
 
-/// How many cells of a square of [`Z_SIDE`]² a Z curve (Morton 1966) passes before it comes to that in a column and a
-/// row: their bits by turns. At every level the halves are met in an order of their own, by `seed`: no pattern can be
-/// seen. Even so every aligned square of 2^k cells along an edge is one stretch of the curve.
+/// Index of a cell of a [`Z_SIDE`]² square along a Z-order (Morton) curve, Owen-scrambled by `seed`: halves come in a
+/// random order at every level, so that no pattern shows. Every aligned square of 2^k cells a side is still one run.
 pub fn along_z_curve(cell: [u32; 2], seed: u32) -> u32 {
     const BITS: u32 = 2 * Z_SIDE.ilog2();
     let [x, y] = cell.map(|v| {

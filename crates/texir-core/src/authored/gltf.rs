@@ -1,8 +1,8 @@
 //! Authored scenes from glTF and GLB: geometry with the lightmap's coordinates, Lambertian materials with their
 //! emission (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
-//! Base colour is the albedo, metals included: what they reflect is taken for diffuse, and so, on request, what
-//! dielectrics reflect specularly. Alpha, vertex colours, skins and morph targets are left out, with a warning.
+//! Base colour is the albedo, also of metals, whose reflection is treated as diffuse; on request so is the specular
+//! reflection of dielectrics ([`Reflected`]). Alpha, vertex colours, skins and morph targets are ignored, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::FRAC_PI_2;
@@ -75,12 +75,12 @@ impl Part {
     }
 }
 
-/// What of the light that surfaces reflect is counted.
+/// Which reflections the bounces carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reflected {
     /// Base colour alone: surfaces are Lambertian.
     Diffusely,
-    /// What dielectrics reflect specularly as well, as if they sent it everywhere: their [`specular_albedo`].
+    /// Base colour plus the [`specular_albedo`] of dielectrics, as if that were diffuse.
     InAll,
 }
 

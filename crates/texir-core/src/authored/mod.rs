@@ -99,8 +99,8 @@ impl Surfaces {
         self.lights.iter().try_for_each(PunctualLight::check)
     }
 
-    /// What a bake of these surfaces depends on, with its `settings`: the size of the map, the backend's name and
-    /// [`Bounces::quality`]. When bounces end changes none of their steps.
+    /// Identity of a bake of these surfaces, for its checkpoints; `settings` must hold the map's size, the backend's name
+    /// and [`Bounces::quality`]; the tolerance and the number of bounces need not be in it.
     pub fn identity(&self, mesh: &Mesh, settings: impl Hash) -> String {
         // Numbers in words are read back to the same bits.
         let (albedo, lights) = (cast_slice::<_, u8>(&self.albedo.data), format!("{:?}", self.lights));

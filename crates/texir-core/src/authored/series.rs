@@ -24,7 +24,7 @@ const SLOWEST: f64 = 0.99;
 pub struct Remainder {
     /// Of all light; infinite where that cannot be told.
     pub of_all: f64,
-    /// Of the light of that part of the map which lacks most, but for a hundredth of it.
+    /// Fraction of the local light in the worst square of the map, the worst 1 % of squares excluded.
     pub of_a_part: f64,
 }
 

@@ -30,10 +30,10 @@ pub(super) const DARK: f32 = 0.01;
 pub struct Bounces {
     /// That of the first gather; later ones take fewer rays, as they bring less light.
     pub quality: Quality,
-    /// Bounces end when what the further ones would add is below this share of all light and, in all but a hundredth of
-    /// the map, below four times this share of what light there is.
+    /// Bounces end when the estimated remainder is below this fraction of all light and, in all but 1 % of the map's
+    /// squares, below four times this fraction of the local light.
     pub tolerance: f32,
-    /// Bounces end here even so; 0 leaves direct light alone.
+    /// Maximum number of bounces; 0: direct light only.
     pub most: u32,
 }
 

@@ -23,8 +23,8 @@ const INSIDE: f32 = 0.25;
 /// A primitive is told of when this share of it is lit from behind alone.
 const SHARE: f32 = 0.1;
 
-/// What to tell the user of a `solution` that is black, or of double-sided materials whose light is behind them, or
-/// that shine and are in sight of something from behind.
+/// Warnings: that the `solution` is black; double-sided primitives that are dark in front and lit from behind, where
+/// nothing is baked; emissive double-sided ones whose back, which does not emit, receives light.
 ///
 /// Replaces the backend's TBL and environment.
 pub fn unlit(

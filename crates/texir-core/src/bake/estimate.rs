@@ -1,5 +1,4 @@
-//! Two gathers of every texel, whose difference tells their error, in rounds until that is small enough where it is
-//! asked for.
+//! Two half-gathers of every texel, whose difference estimates the error; on request in rounds, until it is small enough.
 //!
 //! Every round but the first doubles a texel's rays. Which texels take part in the next is told by their neighbours:
 //! were a texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often
@@ -220,12 +219,10 @@ fn joined(before: &Gathered, last: &Gathered, round: usize) -> Gathered {
     Gathered { irradiance: [mean(0), mean(1), mean(2)], back_faces: (before.back_faces + last.back_faces) / 2.0 }
 }
 
-/// The gathers of both halves: all at once, by sequences that the texels of a map `width` texels wide share; or, where
-/// texels stop at different times, by sequences of their own, a small one and others that double it until all are
-/// drawn.
-///
-/// Halves are parts of one stretch, which errs less than two that do not know of each other; but then their difference
-/// says a fifth too much of what it errs by. Where the `error` is asked for they know nothing of each other.
+/// Both halves' gathers, by rounds. Without `error` there is one round, on sequences that texels of a map `width` wide
+/// share; the halves are two parts of a texel's stretch, which have less error than independent ones but overestimate it
+/// by a fifth. With `error` the halves are independent; where it is above 0, texels stop at different times and have
+/// sequences of their own, a short first round and others that each double the samples so far.
 fn rounds(gather: Gather, error: Option<f32>, width: usize) -> Vec<[Gather; 2]> {
     let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, ..gather };
     let apart = |half: Gather| [half.seed, hash(half.seed)].map(|seed| Gather { seed, ..half });

@@ -30,8 +30,8 @@ const BASE: u64 = 48 << 20;
 /// calls room to work in.
 const FEWEST: u64 = 1 << 18;
 
-/// How to keep a bake within `limit`: in memory where a map of `[width, height]` texels, all of them valid, fits beside
-/// the mesh and an HDR texture of `radiance` texels; else in files in `folder`. Errors when even those leave too
+/// The workspace that keeps a bake within `limit`: memory if a map of `[width, height]` texels, all of them valid, fits
+/// beside the mesh and an HDR texture of `radiance` texels; else files in `folder`. Errors when even those leave too
 /// little.
 pub fn keep_within(
     limit: ByteSize,

@@ -1,8 +1,7 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 //!
-//! What is known of every texel lies in arrays, in memory or in files ([`Workspace`]): gathers go through them tile by
-//! tile, what looks at neighbours block of space by block of space, the map row by row. None of it changes a bit of the
-//! result.
+//! Per-texel data lies in arrays, in memory or in files ([`Workspace`]). Gathers go through them in tiles, denoising and
+//! error estimates in blocks of space, output in rows; how they are cut does not change a bit of the result.
 
 mod blocks;
 mod estimate;
@@ -41,10 +40,10 @@ pub struct Baked {
     pub irradiance: Vec<[f32; 3]>,
     /// Texels inside other geometry, as a floor under a cupboard.
     pub buried: Vec<bool>,
-    /// Standard error of the luminance of E before denoising, in the unit of E: estimated from a texel's neighbours.
-    /// Where [`Quality::error`] asked for it.
+    /// Standard error of the luminance of E before denoising, in the unit of E, estimated from a texel's neighbours;
+    /// `None` unless [`Quality::error`] was set.
     pub standard_error: Option<Vec<f32>>,
-    /// Rays that were asked for: where there are no lights, those to them are not traced.
+    /// Rays requested; where there are no lights, those aimed at lights are counted but not traced.
     pub rays: u64,
 }
 
@@ -53,8 +52,8 @@ pub struct Baked {
 pub enum Buried {
     /// What they gathered.
     Keep,
-    /// Their lit neighbour's value, [`PADDING`] texels inwards: theirs is not seen, but bleeds into what is seen beside
-    /// it where a lookup interpolates. What is further inside keeps what it gathered.
+    /// A neighbouring exposed texel's value, up to [`PADDING`] texels inwards: bilinear lookups would otherwise bleed
+    /// buried texels into visible ones. Texels further inside keep what they gathered.
     Fill,
 }
 
@@ -78,8 +77,7 @@ impl Baked {
 pub struct Quality {
     /// Rays of a texel, at most. Its [`Gather::sequences`] are not used: a bake chooses them.
     pub gather: Gather,
-    /// A texel takes no more rays once its [`Baked::standard_error`] is below this share of its irradiance; 0 takes
-    /// all.
+    /// Relative error, [`Baked::standard_error`] over E, at which a texel stops taking rays; 0: it takes all.
     pub error: Option<f32>,
     /// What removes most of the noise, if anything.
     pub denoise: Option<Denoiser>,

@@ -26,7 +26,7 @@ pub struct Solution {
     /// 0 for texels inside other geometry, else 1.
     seen: Store<'static, u8>,
     standard_error: Option<Store<'static, f32>>,
-    /// Rays traced.
+    /// As [`Baked::rays`]: rays requested, not rays traced.
     pub rays: u64,
 }
 
@@ -118,7 +118,7 @@ impl Solution {
         Ok(())
     }
 
-    /// Adds light without noise, which `light` tells of a piece of the points at a time, by its number.
+    /// Adds noise-free irradiance, which `light` computes for a chunk of points, given the chunk's number.
     pub(crate) fn add_exact(
         &mut self,
         texels: &Texels<'_>,
@@ -165,8 +165,8 @@ impl Solution {
         Ok(sums.into_iter().map(|(sum, count)| (count >= ENOUGH).then(|| sum / f64::from(count))).collect())
     }
 
-    /// Takes texels whose luminance is above `dark` for ones outside of other geometry. Where backs of faces send no
-    /// light, what is lit is not inside, however many backs it meets: those of a roof of one sheet, or of an open box.
+    /// Marks texels whose luminance is above `dark` as outside other geometry: with black back faces, a lit texel is never
+    /// inside, however many back faces its rays meet (under a roof of one sheet, in an open box).
     pub(crate) fn see_lit(&mut self, texels: &Texels<'_>, dark: f32) -> Result<()> {
         for items in texels.pieces() {
             let (irradiance, seen) = (self.irradiance.get(&items)?, self.seen.get(&items)?);

@@ -28,8 +28,8 @@ pub(super) struct Surface<'a> {
     pub texel: f32,
 }
 
-/// Texels of like size, among those of a block. How far neighbours reach is a number of them: were it a number of the
-/// typical ones of the map, all texels of a small thing that has many would be the neighbours of each.
+/// A block's texels of similar size. Neighbourhood radii are multiples of it: in multiples of the map's median texel, all
+/// texels of a small, finely mapped object would be neighbours of each other.
 pub(super) struct Alike {
     /// Edge of a typical one, metres.
     pub texel: f32,

@@ -43,9 +43,9 @@ const NOISY: f32 = 0.04;
 pub struct Shown {
     /// Name of the view.
     pub name: String,
-    /// What meets the backs of faces.
+    /// The part whose rays meet back faces.
     pub behind: Share,
-    /// What meets no surface.
+    /// The part whose rays miss the mesh.
     pub open: Share,
     /// All that it shows.
     pub all: Share,
@@ -77,7 +77,7 @@ pub struct Share {
 pub struct Agreement {
     /// By how much it is brighter than the middle one of them, in ln, per channel.
     pub exposure: [f32; 3],
-    /// How far a place is from what they show of it, but for that, in the median.
+    /// Median over cells of surface of |ln radiance − median of all views|, after subtracting `exposure`.
     pub spread: f32,
 }
 
@@ -93,8 +93,7 @@ impl Agreement {
 pub struct Survey(Vec<Shown>);
 
 impl Survey {
-    /// Looks at all of `views`, at some hundred columns each. What masks leave out shines all the same, but is not
-    /// compared.
+    /// Surveys all `views`, reduced to some 256 columns. Masked pixels count as light, but are not compared.
     pub fn new(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Self> {
         let task = Task::start(progress, "what views show", views.len() as u64, "views");
         let (mut shown, mut cells) = (Vec::with_capacity(views.len()), Vec::new());

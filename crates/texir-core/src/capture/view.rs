@@ -41,10 +41,9 @@ impl View {
         Some(Self { camera, reduction: self.reduction * factor, ..self.clone() })
     }
 
-    /// The radiance, linear, without [`View::blur`], times [`View::scale`]. Pixels with a channel that is NaN or
-    /// infinite are unknown and NaN in all channels, negative channels are 0, and a warning says how many. So are areas
-    /// that are exactly black, and all of an image that is black throughout: what was cut out (a tripod), was not
-    /// covered or failed to be written must not pass for black paint. Surfaces reflect some of what light there is.
+    /// Linear radiance without [`View::blur`], times [`View::scale`]. Negative channels are 0. Pixels with a non-finite
+    /// channel, in exactly black areas (16 pixels or more) or of an entirely black image are NaN: cut-outs (a tripod),
+    /// stitching gaps and failed writes must not pass for black paint. All of this is warned about.
     pub fn load_image(&self, progress: &dyn Progress) -> Result<Rgb> {
         self.image_with(f32::NAN, progress)
     }

@@ -13,8 +13,8 @@ use crate::surface::SurfacePoint;
 const CHOSEN: usize = 1 << 20;
 
 impl Lights {
-    /// The triangles that stand out in `radiance`, sampled where they are seen. Errors unless `atlas` has its size, and
-    /// is one of the scene's mesh.
+    /// The triangles with more than three times the scene's mean luminance in `radiance`, with cluster tables learned by
+    /// shadow rays. Errors unless `atlas` has the size of `radiance` and is one of the scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
         let (own, others) = ([atlas.width, atlas.height], radiance.size());
         if own != others || radiance.data.len() != radiance.width * radiance.height {
@@ -95,8 +95,8 @@ impl<'a> Finder<'a> {
         Ok(())
     }
 
-    /// The lights of surfaces of which nothing is seen from behind: what is no light is black there as well. A sheet
-    /// lets no light through, and what its front reflects does not leave its back.
+    /// [`Self::find`] for scenes in which all back faces are black, not those of lights alone: a sheet lets no light
+    /// through, and reflects it from its front only.
     pub fn one_sided(self) -> Lights {
         Lights { one_sided: true, ..self.find() }
     }

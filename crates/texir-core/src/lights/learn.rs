@@ -1,8 +1,8 @@
 //! Tables of a scene's lights by place: what each cluster contributes to a cell's surface, found with shadow rays.
 //!
-//! The least variance is had with clusters drawn in proportion to the root of the mean square of what they contribute,
-//! visibility included (Vévoda, Kondapaneni and Křivánek, "Bayesian online regression for adaptive direct illumination
-//! sampling", SIGGRAPH 2018, with a plain estimate in place of their regression).
+//! Variance is least when clusters are drawn in proportion to the RMS of their contributions, visibility included
+//! (Vévoda, Kondapaneni and Křivánek, "Bayesian online regression for adaptive direct illumination sampling", SIGGRAPH
+//! 2018, with a plain estimate in place of their regression).
 
 use glam::Vec3;
 use rayon::prelude::*;

@@ -38,7 +38,7 @@ pub struct LightGrid {
     pub per_metre: f32,
     /// Cells along each axis.
     pub size: [u32; 3],
-    /// Per cell (x fastest) and facing, six to a cell: the number of its table. 0, the table for everywhere, where
+    /// Per cell (x fastest) and facing, six to a cell: which of [`Lights::tables`] holds there; 0, the global one, where
     /// nothing was learned.
     pub tables: Vec<u32>,
 }

@@ -57,9 +57,9 @@ impl Scene {
         Ok(())
     }
 
-    /// Builds the hierarchy. Errors on a mesh that is not [whole](Mesh::check), has more than 2²⁷ triangles, or
-    /// vertices that are nowhere near it. One that is far from the origin is none, though its light will be wrong: ask
-    /// [`Mesh::misplaced`].
+    /// Builds the BVH. Errors on a mesh that fails [`Mesh::check`], has more than 2²⁷ triangles, or coordinates that are
+    /// not finite or exceed 1e9 m. A mesh that is merely far from the origin is accepted, though its light will be
+    /// inaccurate: see [`Mesh::misplaced`].
     pub fn new(mesh: Mesh) -> Result<Self> {
         Self::check(&mesh)?;
         let triangles: Vec<Triangle> = (0..mesh.triangles.len() as u32)

@@ -56,9 +56,8 @@ const PIXELS: usize = 1 << 26;
 /// Keeps quotients of black finite, where views are about 1 bright.
 const BLACK: f32 = 1e-4;
 
-/// The variance of the point spread beyond that of a pixel, square pixels along each axis, which is never negative;
-/// `None` where too few surfaces with edges or texture are seen from near and from far. Large captures are judged by
-/// their first views.
+/// Variance of the images' point spread beyond the pixel's own, at least 0, in square pixels per axis; `None` where too
+/// few surfaces with edges or texture are seen from near and far. Of large captures only the first views are used.
 pub fn measure(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Option<f32>> {
     let mut pixels = 0;
     let within = |view: &&View| {

@@ -26,7 +26,8 @@ const SIDE: usize = 256;
 /// Scales of the Cauchy weights of successive solutions, in ln L: from differences between exposures to those between
 /// reflections.
 const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.05];
-/// Views that share no surface with others keep their exposure: the weight of that, in observations.
+/// Keeps the exposures of views that share no surface with others where they are, up to the normalisation: the weight of
+/// that, in observations.
 const ANCHOR: f64 = 1e-6;
 /// Darker pixels hold noise, where views are about 1 bright.
 const DARK: f32 = 1e-4;
@@ -43,8 +44,8 @@ pub(crate) struct Sighting {
     pub log: [f64; 3],
 }
 
-/// The factors per channel by which the views' radiance must be multiplied to agree with each other; their median is
-/// 1. A view that shares no surface with others has that.
+/// Per-channel factors by which to multiply the views' radiance so that they agree with each other; their median is 1.
+/// A view that shares no surface with others is moved by that normalisation alone.
 pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let (views, _) = in_own_unit(views, progress)?;

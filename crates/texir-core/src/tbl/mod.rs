@@ -196,9 +196,9 @@ struct Fusion<'a> {
 }
 
 impl Fusion<'_> {
-    /// The TBL from the radiance of the texels that are seen: light sources are separated from what is beside them, and
-    /// what is not seen is filled, as in `given` where that filled it. Light sources are not: what is filled may have
-    /// taken their light for the ceiling's behind them.
+    /// The TBL from the radiance of the texels that are seen: light sources are separated from their surroundings, and
+    /// unseen texels filled; first from `given` where it was inpainted, unless it shines there: an earlier fill may have
+    /// spread a lamp's light over the ceiling behind it.
     fn complete(
         &self,
         backend: &mut dyn Backend,

@@ -1,9 +1,8 @@
-//! What surfaces around a light source witness of the sides of it that views hardly show.
+//! How strongly the barely seen sides of a light source emit, inferred from the surfaces around it.
 //!
-//! A side of which nothing is seen may shine, as the back of a lampshade, or not, as its cover or what it is mounted by.
-//! What it would light tells: the ceiling over a lamp whose top shines is brighter near it, and as ln L − ln E is the
-//! logarithm of its albedo, which is the same all over a ceiling, that of E with the right share of the side's light
-//! varies least.
+//! Such a side may emit (the back of a lampshade) or not (its mount). On a surface of one albedo, ln L − ln E is
+//! constant; of all fractions of the side's emission in E, the right one makes texels that the side would light match
+//! those of the same surface that it would not.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::PI;

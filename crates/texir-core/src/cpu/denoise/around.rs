@@ -13,8 +13,8 @@ use crate::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
 use crate::progress::Progress;
 use crate::real::Real;
 
-/// What is found at a point by what is `TOLD` of the points within [`RADIUS`]. Its methods at a point have to be
-/// inlined, for the instructions of [`each`].
+/// A per-point result from sums over the points within [`RADIUS`], of which it reads `TOLD` numbers each. Its methods at a
+/// point must be inlined, to be compiled for the instructions that [`each`] dispatches to.
 pub trait Pass<R: Real, const TOLD: usize>: Sync {
     /// What is known of a point and summed over those around it.
     type Sums;
