@@ -65,14 +65,14 @@ struct DenoiseParams {
     radius: f32,
     guide_radius: f32,
     noise_radius: f32,
-    miss_radius: f32,
+    residual_radius: f32,
     tolerance: f32,
     curvature: f32,
-    chance: f32,
-    significant: f32,
+    residual_threshold: f32,
+    loss_sigmas: f32,
     ridge: f32,
-    same_way: f32,
-    beside: f32,
+    min_normal_cosine: f32,
+    max_plane_distance: f32,
     // The smallest variance and squared value that is divided by.
     tiny: f32,
 }
@@ -107,8 +107,8 @@ fn nearness(own: Entry, apart: u32, j: u32, radius_texels: f32) -> vec4f {
     let other = entries[j];
     let radius = radius_texels * params.texel;
     let offset = other.position - own.position;
-    let same_surface = abs(dot(offset, own.normal)) < params.beside * radius
-        && dot(own.normal, other.normal) > params.same_way
+    let same_surface = abs(dot(offset, own.normal)) < params.max_plane_distance * radius
+        && dot(own.normal, other.normal) > params.min_normal_cosine
         && dot(offset, offset) < radius * radius;
     let at = offset / radius;
     return vec4f(at, select(-1.0, max(1.0 - dot(at, at), 0.0), same_surface && estimates[j].apart == apart));
@@ -320,7 +320,7 @@ fn clean(
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
         let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, estimate.apart, j, params.miss_radius).w;
+            let near = nearness(own, estimate.apart, j, params.residual_radius).w;
             if near < 0.0 {
                 continue;
             }
@@ -334,7 +334,7 @@ fn clean(
         }
     }
     // Wiener's weight, of what is more than chance.
-    let signal = max(shared_part - variance * params.chance, 0.0);
+    let signal = max(shared_part - variance * params.residual_threshold, 0.0);
     let kept = select(0.0, signal / (signal + variance), signal > 0.0);
     let fit = (fits[i].a + fits[i].b) * 0.5;
     cleaned[i] = vec4f(fit + ((estimate.a + estimate.b) * 0.5 - fit) * kept, 0.0);
@@ -379,7 +379,7 @@ fn conserve(
         }
     }
     lost /= weight;
-    let chance = squares / (weight * weight) * params.significant * params.significant;
+    let chance = squares / (weight * weight) * params.loss_sigmas * params.loss_sigmas;
     let given = select(0.0, 1.0 - chance / square(lost), square(lost) > chance);
     conserved[i] = vec4f(max(value + lost * given, vec3f(0.0)), 0.0);
 }

@@ -9,7 +9,7 @@
 // per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine one
 // starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
 
-#import scene
+#import lighting
 #import hit
 #import light_sampling
 #import rng
@@ -34,7 +34,7 @@ struct IrradianceParams {
     part: u32,
     // Where texels share sequences: in how many parts a texel's stretch is drawn, of which `part` is one.
     parts: u32,
-    // Texels in a row of the map whose blocks of Z_SIDE² texels share sequences; 0 where every point has its own.
+    // Texels in a row of the map whose blocks of MORTON_SIDE² texels share sequences; 0 where every point has its own.
     width: u32,
     // Rows of the environment with bright pixels.
     sky_rows: u32,
@@ -91,13 +91,13 @@ struct Share {
 fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
     let item = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
     let point = points[min(item, params.end_item - 1u)];
-    var seed = hash2(params.seed, point.sequence);
+    var seed = hash2(params.seed, point.index);
     var stretch = params.part;
     if params.width > 0u {
-        let at = vec2u(point.sequence % params.width, point.sequence / params.width);
-        let block = at / Z_SIDE;
-        seed = hash2(params.seed, block.y * ((params.width + Z_SIDE - 1u) / Z_SIDE) + block.x);
-        stretch = along_z_curve(at % Z_SIDE, hash2(seed, 0u)) * params.parts + params.part;
+        let at = vec2u(point.index % params.width, point.index / params.width);
+        let block = at / MORTON_SIDE;
+        seed = hash2(params.seed, block.y * ((params.width + MORTON_SIDE - 1u) / MORTON_SIDE) + block.x);
+        stretch = scrambled_morton(at % MORTON_SIDE, hash2(seed, 0u)) * params.parts + params.part;
     }
     let table = light_table(point.position, point.normal);
     return Share(item, thread % LANES, item < params.end_item, point, seed, stretch, table);

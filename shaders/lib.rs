@@ -30,12 +30,12 @@ pub const SOURCES: &[(&str, &str)] = sources![
     "shared/fetch_texture",
     "shared/hit",
     "shared/light_sampling",
+    "shared/lighting",
     "shared/lobe",
     "shared/math",
     "shared/rng",
     "shared/roughness_authors",
     "shared/roughness_exact",
     "shared/sampling",
-    "shared/scene",
     "shared/shading",
 ];

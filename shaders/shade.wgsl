@@ -6,7 +6,7 @@
 // holds B until the last). Reads 96 and writes 48 bytes per pixel and dispatch. `roughness` is one of two modules: the
 // derivative is chosen when the pipeline is made, as a branch in the sample loop would pay for both.
 
-#import scene
+#import lighting
 #import shading
 #import rng
 #import lobe
@@ -35,13 +35,13 @@ struct ShadeParams {
 struct Sums {
     scale: vec3f,
     bias: vec3f,
-    d_roughness: vec3f,
+    roughness_jacobian: vec3f,
 }
 
 var<workgroup> lane_sums: array<Sums, WORKGROUP>;
 
 fn add(a: Sums, b: Sums) -> Sums {
-    return Sums(a.scale + b.scale, a.bias + b.bias, a.d_roughness + b.d_roughness);
+    return Sums(a.scale + b.scale, a.bias + b.bias, a.roughness_jacobian + b.roughness_jacobian);
 }
 
 @compute @workgroup_size(WORKGROUP)
@@ -58,7 +58,7 @@ fn shade(
     let material = materials[item];
     let f0 = f0_of(material.albedo, material.metallic);
     let frame = frame_of(point.normal);
-    let seed = hash2(params.seed, point.sequence);
+    let seed = hash2(params.seed, point.index);
     var sums = Sums(vec3f(0.0), vec3f(0.0), vec3f(0.0));
     for (var i = params.first_sample + lane; present && i < params.end_sample; i += LANES) {
         let s = sample_lobe(frame, point.view, material.roughness, sobol2(i, seed));
@@ -68,7 +68,7 @@ fn shade(
             let d = d_sample(s, x, frame, point.view, material.roughness);
             sums.scale += light * (1.0 - x);
             sums.bias += light * x;
-            sums.d_roughness += light * ((f0 * (1.0 - x) + x) * d.x + (1.0 - f0) * d.y);
+            sums.roughness_jacobian += light * ((f0 * (1.0 - x) + x) * d.x + (1.0 - f0) * d.y);
         }
     }
     lane_sums[thread] = sums;
@@ -81,15 +81,15 @@ fn shade(
     if present && lane == 0u {
         var total = lane_sums[thread];
         if params.first_sample > 0u {
-            total = add(total, Sums(shaded[pixel].specular_scale, shaded[pixel].radiance, shaded[pixel].d_roughness));
+            total = add(total, Sums(shaded[pixel].specular_scale, shaded[pixel].radiance, shaded[pixel].roughness_jacobian));
         }
         var radiance = total.bias;
         if params.end_sample == params.samples {
             let share = 1.0 / f32(params.samples);
-            total = Sums(total.scale * share, total.bias * share, total.d_roughness * share);
+            total = Sums(total.scale * share, total.bias * share, total.roughness_jacobian * share);
             let diffuse = material.albedo * point.irradiance * ((1.0 - material.metallic) * INV_PI);
             radiance = diffuse + f0 * total.scale + total.bias;
         }
-        shaded[pixel] = Shaded(radiance, 0.0, total.scale, 0.0, total.d_roughness, 0.0);
+        shaded[pixel] = Shaded(radiance, 0.0, total.scale, 0.0, total.roughness_jacobian, 0.0);
     }
 }

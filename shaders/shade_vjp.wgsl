@@ -35,7 +35,7 @@ fn shade_vjp(
     // d_a = δ⊙((1−m)E/π + mA), d_r = ⟨δ, ∂L_o/∂r⟩, d_m = ⟨δ, (a−0.04)A − aE/π⟩.
     d_materials[i] = MaterialGrad(
         delta * (diffuse * (1.0 - material.metallic) + scale * material.metallic),
-        dot(delta, shaded[i].d_roughness),
+        dot(delta, shaded[i].roughness_jacobian),
         dot(delta, (material.albedo - DIELECTRIC_F0) * scale - material.albedo * diffuse),
         0.0,
         0.0,

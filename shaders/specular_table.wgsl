@@ -7,7 +7,7 @@
 // `tables`, which the host clears; it also bounds a thread's rays, as in irradiance.wgsl. Reads 640 and writes 384
 // bytes per pixel and dispatch.
 
-#import scene
+#import lighting
 #import light_sampling
 #import rng
 #import lobe
@@ -100,9 +100,9 @@ fn lobe_roughness(lobe: u32) -> f32 {
 // g of the shadowing–masking term.
 fn masking(c: f32, r: f32) -> f32 {
     if params.masking == SMITH {
-        return smith(c, r);
+        return g_smith(c, r);
     }
-    return schlick(c, r);
+    return g_schlick(c, r);
 }
 
 fn node_roughness(node: u32) -> f32 {
@@ -132,7 +132,7 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
     var lobes = 0.0;
     for (var lobe = 0u; lobe < LOBES; lobe++) {
-        lobes += distribution_at(sin2, lobe_roughness(lobe));
+        lobes += ndf_from_sin2(sin2, lobe_roughness(lobe));
     }
     let density = f32(params.lobe_samples) * lobes * c.nh / (4.0 * c.vh)
         + f32(params.cosine_samples) * c.nl * INV_PI
@@ -156,7 +156,7 @@ fn specular_table(
     let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
     let exists = pixel < params.end_item;
     let item = min(pixel, params.end_item - 1u);
-    let seed = hash2(params.seed, pixels[item][0].sequence);
+    let seed = hash2(params.seed, pixels[item][0].index);
     // The thread's own nodes are every LANES-th.
     var sums: array<vec3f, NODES / LANES>;
     for (var first = params.first_sample; first < params.end_sample; first += LANES) {
@@ -170,7 +170,7 @@ fn specular_table(
                 let drawn = samples[thread - lane + i];
                 // f_s / F = D g(nl) g(nv) / 4.
                 sums[k] += drawn.light
-                    * (0.25 * distribution_at(drawn.sin2, r) * masking(drawn.nl, r) * masking(drawn.nv, r));
+                    * (0.25 * ndf_from_sin2(drawn.sin2, r) * masking(drawn.nl, r) * masking(drawn.nv, r));
             }
         }
         workgroupBarrier();

@@ -16,20 +16,20 @@ struct Cosines {
 
 // D = α² / (π (α² + sin²θ_h (1−α²))²): GGX distribution of half-vectors, per solid angle. By the sine, as a cosine
 // cannot resolve the peak of a smooth lobe.
-fn distribution_at(sin2: f32, r: f32) -> f32 {
+fn ndf_from_sin2(sin2: f32, r: f32) -> f32 {
     let a2 = r * r * r * r;
     let d = a2 + sin2 * (1.0 - a2);
     return a2 / (PI * d * d);
 }
 
 // g(c) = 2/(c + √(α² + (1−α²)c²)): Smith's masking of GGX, as in glTF 2.0.
-fn smith(c: f32, r: f32) -> f32 {
+fn g_smith(c: f32, r: f32) -> f32 {
     let a2 = r * r * r * r;
     return 2.0 / (c + sqrt(a2 + (1.0 - a2) * c * c));
 }
 
 // g(c) = 1/(c(1−k)+k), k = (r+1)²/8: the authors'. The shadowing–masking term is G = g(nl)·g(nv)·nl·nv.
-fn schlick(c: f32, r: f32) -> f32 {
+fn g_schlick(c: f32, r: f32) -> f32 {
     let k = (r + 1.0) * (r + 1.0) * 0.125;
     return 1.0 / (c * (1.0 - k) + k);
 }
@@ -59,15 +59,15 @@ fn sample_half_vector(u: f32, r: f32) -> vec2f {
 // w = f_s nl / (p F) of half-vector sampling: g(nl) g(nv) nl vh / nh. The cosine n·l is included; times F it is the
 // estimator's weight.
 fn sample_weight(c: Cosines, r: f32) -> f32 {
-    return schlick(c.nl, r) * schlick(c.nv, r) * c.nl * c.vh / c.nh;
+    return g_schlick(c.nl, r) * g_schlick(c.nv, r) * c.nl * c.vh / c.nh;
 }
 
 // ψ_D = ∂ln D/∂r at a half-vector drawn with the same r: 4(2u−1)/r (method section 4, reduced at the sampled nh).
-fn d_ln_distribution_sampled(u: f32, r: f32) -> f32 {
+fn d_ln_ndf_sampled(u: f32, r: f32) -> f32 {
     return 4.0 * (2.0 * u - 1.0) / r;
 }
 
 // ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)].
 fn d_ln_schlick(nl: f32, nv: f32, r: f32) -> f32 {
-    return -(r + 1.0) * 0.25 * ((1.0 - nl) * schlick(nl, r) + (1.0 - nv) * schlick(nv, r));
+    return -(r + 1.0) * 0.25 * ((1.0 - nl) * g_schlick(nl, r) + (1.0 - nv) * g_schlick(nv, r));
 }

@@ -20,9 +20,9 @@ const MISS: u32 = 0xffffffffu;
 const T_FAR: f32 = 1e30;
 // Entries of the traversal stack: one per level of the hierarchy, which has at most 31 (hierarchy.rs).
 const STACK_SIZE: u32 = 32u;
-// Relative bias of back-face hits, which count as BEHIND · (t + max |origin|) further: of two coincident triangles that
-// face opposite ways, a ray meets the one that faces it (the twin's BEHIND).
-const BEHIND: f32 = 7.62939453125e-6;
+// Relative bias of back-face hits, which count as BACK_FACE_BIAS · (t + max |origin|) further: of two coincident triangles that
+// face opposite ways, a ray meets the one that faces it (the twin's BACK_FACE_BIAS).
+const BACK_FACE_BIAS: f32 = 7.62939453125e-6;
 // Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.00000024;
 
@@ -100,13 +100,13 @@ fn triangle_part(primitive: u32, part: u32) -> vec4f {
 }
 
 // The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
-// backs count as BEHIND further.
+// backs count as BACK_FACE_BIAS further.
 fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
     let ray = traversal_ray(origin, direction);
     let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
     var best = Intersection(MISS, 0.0, 0.0, t_max);
     // How far it counts as.
-    var reach = t_max + BEHIND * (t_max + size);
+    var reach = t_max + BACK_FACE_BIAS * (t_max + size);
     var stack: array<vec2u, STACK_SIZE>;
     var depth = 0u;
     // (index of the first child, hits by priority in the high 8 bits | mask of inner children): the root alone.
@@ -149,7 +149,7 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
             let q = cross(s, e1);
             let v = dot(direction, q) * inverse;
             let t = dot(e2, q) * inverse;
-            let counted = t + select(0.0, BEHIND * (t + size), determinant < 0.0);
+            let counted = t + select(0.0, BACK_FACE_BIAS * (t + size), determinant < 0.0);
             if determinant != 0.0 && u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < t_max && counted < reach {
                 best = Intersection(primitive, u, v, t);
                 reach = counted;

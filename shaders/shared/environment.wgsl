@@ -10,14 +10,14 @@ struct BrightRow {
     // The end of the row's part of bright_pixels, where the next row's begins.
     end: u32,
     // Probability of this row and those before it.
-    cumulative: f32,
+    cdf: f32,
 }
 
 struct BrightPixel {
     // Index in the panorama.
     pixel: u32,
     // Probability, within the row, of this pixel and those before it.
-    cumulative: f32,
+    cdf: f32,
 }
 
 @group(0) @binding(9) var<storage, read> bright_rows: array<BrightRow>;
@@ -45,27 +45,27 @@ fn sky_sample(rows: u32, u: vec2f) -> SkySample {
     var high = rows - 1u;
     while low < high {
         let middle = (low + high) / 2u;
-        if bright_rows[middle].cumulative <= u.x {
+        if bright_rows[middle].cdf <= u.x {
             low = middle + 1u;
         } else {
             high = middle;
         }
     }
     let row_before = bright_rows[max(low, 1u) - 1u];
-    let in_row = share_below(u.x, select(row_before.cumulative, 0.0, low == 0u), bright_rows[low].cumulative);
+    let in_row = share_below(u.x, select(row_before.cdf, 0.0, low == 0u), bright_rows[low].cdf);
     let first = select(row_before.end, 0u, low == 0u);
     high = bright_rows[low].end - 1u;
     low = first;
     while low < high {
         let middle = (low + high) / 2u;
-        if bright_pixels[middle].cumulative <= in_row {
+        if bright_pixels[middle].cdf <= in_row {
             low = middle + 1u;
         } else {
             high = middle;
         }
     }
-    let before = select(bright_pixels[max(low, 1u) - 1u].cumulative, 0.0, low == first);
-    let across = share_below(in_row, before, bright_pixels[low].cumulative);
+    let before = select(bright_pixels[max(low, 1u) - 1u].cdf, 0.0, low == first);
+    let across = share_below(in_row, before, bright_pixels[low].cdf);
     let size = textureDimensions(environment);
     let pixel = vec2u(bright_pixels[low].pixel % size.x, bright_pixels[low].pixel / size.x);
     let upper = sincos_turns(0.5 * f32(pixel.y) / f32(size.y)).y;

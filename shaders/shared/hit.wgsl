@@ -17,6 +17,6 @@ struct SurfacePoint {
     position: vec3f,
     triangle: u32,
     normal: vec3f,
-    // Index of the point's sample sequence.
-    sequence: u32,
+    // Index of the point, which chooses its samples.
+    index: u32,
 }

@@ -8,9 +8,9 @@ struct LightPrimitive {
     primitive: u32,
     cluster: u32,
     // Probability, within the cluster, of this triangle and those before it.
-    cumulative: f32,
+    cdf: f32,
     // Density per square metre of points on the primitive once its cluster is chosen; 0 for what is no light.
-    per_area: f32,
+    pdf_area: f32,
 }
 
 // Cubic cells of the scene's surface, times six facings.
@@ -81,14 +81,14 @@ fn light_point(table: u32, u: vec2f) -> LightPoint {
     low = first;
     while low < high {
         let middle = (low + high) / 2u;
-        if light_primitives[middle].cumulative <= in_cluster {
+        if light_primitives[middle].cdf <= in_cluster {
             low = middle + 1u;
         } else {
             high = middle;
         }
     }
-    let before_triangle = select(light_primitives[max(low, 1u) - 1u].cumulative, 0.0, low == first);
-    let root = sqrt(share_below(in_cluster, before_triangle, light_primitives[low].cumulative));
+    let before_triangle = select(light_primitives[max(low, 1u) - 1u].cdf, 0.0, low == first);
+    let root = sqrt(share_below(in_cluster, before_triangle, light_primitives[low].cdf));
     let primitive = light_primitives[low].primitive;
     let v0 = triangle_part(primitive, 0u).xyz;
     let e1 = triangle_part(primitive, 1u).xyz;
@@ -107,5 +107,5 @@ fn light_pdf(table: u32, primitive: u32, t: f32, cosine: f32) -> f32 {
     let light = light_primitives[light_index[primitive]];
     let at = table + light.cluster;
     let before = select(light_tables[max(at, 1u) - 1u], 0.0, light.cluster == 0u);
-    return (light_tables[at] - before) * light.per_area * t * t / max(abs(cosine), 1e-6);
+    return (light_tables[at] - before) * light.pdf_area * t * t / max(abs(cosine), 1e-6);
 }

@@ -50,12 +50,12 @@ fn lattice2(index: u32, offset: vec2u) -> vec2f {
     return vec2f(to_unit(x.x), to_unit(x.y));
 }
 
-// Cells along an edge of a square that along_z_curve goes through.
-const Z_SIDE: u32 = 32u;
+// Cells along an edge of a square that scrambled_morton goes through.
+const MORTON_SIDE: u32 = 32u;
 
 // How many cells of a square of Z_SIDE² a Z curve passes before it comes to that in a column and a row: their bits by
 // turns, and at every level the halves in an order of their own.
-fn along_z_curve(cell: vec2u, seed: u32) -> u32 {
+fn scrambled_morton(cell: vec2u, seed: u32) -> u32 {
     var v = (cell | (cell << vec2u(4u))) & vec2u(0x0f0fu);
     v = (v | (v << vec2u(2u))) & vec2u(0x3333u);
     v = (v | (v << vec2u(1u))) & vec2u(0x5555u);

@@ -4,5 +4,5 @@
 
 // (∂ ln w/∂r, ∂x/∂r) of a lobe sample: ψ, and 0 as the half-vector stays.
 fn d_sample(s: LobeSample, x: f32, frame: Frame, view: vec3f, r: f32) -> vec2f {
-    return vec2f(d_ln_distribution_sampled(s.u, r) + d_ln_schlick(s.cosines.nl, s.cosines.nv, r), 0.0);
+    return vec2f(d_ln_ndf_sampled(s.u, r) + d_ln_schlick(s.cosines.nl, s.cosines.nv, r), 0.0);
 }

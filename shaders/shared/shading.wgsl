@@ -3,8 +3,8 @@
 // A pixel apart from its material. `view` points to the camera; `irradiance` is full E (cosine included, not over π).
 struct ShadePoint {
     position: vec3f,
-    // Index of the pixel's sample sequence.
-    sequence: u32,
+    // Index of the pixel, which chooses its samples.
+    index: u32,
     normal: vec3f,
     pad0: f32,
     view: vec3f,
@@ -28,7 +28,7 @@ struct Shaded {
     pad0: f32,
     specular_scale: vec3f,
     pad1: f32,
-    d_roughness: vec3f,
+    roughness_jacobian: vec3f,
     pad2: f32,
 }
 

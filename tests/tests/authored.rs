@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::{Mat4, Vec2, Vec3};
 use serde_json::json;
 use texir_core::atlas::Atlas;
-use texir_core::authored::{Bounces, Model, Reflected, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
+use texir_core::authored::{BounceAlbedo, Bounces, Model, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
 use texir_core::bake::{Baked, Denoiser, PADDING, Quality, Texels};
 use texir_core::brdf::Masking;
@@ -22,7 +22,7 @@ use texir_core::raster::Rgb;
 use texir_core::real::V3;
 use texir_core::rng::hash2;
 use texir_core::scene::Scene;
-use texir_core::scene::trace::{Exhaustive, Trace};
+use texir_core::scene::trace::{BruteForce, Trace};
 use texir_core::specular_albedo::specular_albedo;
 use texir_core::surface::SurfacePoint;
 use texir_gpu::GpuBackend;
@@ -43,7 +43,7 @@ struct Lit {
 fn solve(backend: &mut dyn Backend, atlas: &Atlas, surfaces: &Surfaces, bounces: &Bounces) -> Lit {
     let (texels, none) = (Texels::of(atlas), Checkpoints::none());
     let solved = irradiance(backend, &texels, surfaces, bounces, &none, &Silent).unwrap();
-    Lit { baked: solved.solution.into_baked().unwrap(), series: solved.series, remainder: solved.remainder.of_all }
+    Lit { baked: solved.solution.into_baked().unwrap(), series: solved.series, remainder: solved.remainder.total }
 }
 
 #[test]
@@ -173,10 +173,10 @@ fn cornell() -> (Document, [[f32; 3]; 4]) {
 
 /// Reads a document through its file.
 fn load(document: &Document, size: usize) -> Model {
-    load_reflecting(document, size, Reflected::Diffusely)
+    load_reflecting(document, size, BounceAlbedo::Diffuse)
 }
 
-fn load_reflecting(document: &Document, size: usize, reflected: Reflected) -> Model {
+fn load_reflecting(document: &Document, size: usize, reflected: BounceAlbedo) -> Model {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
     document.write(&path);
@@ -186,7 +186,7 @@ fn load_reflecting(document: &Document, size: usize, reflected: Reflected) -> Mo
 /// A path tracer in f64 without hierarchy, lightmap or bias: E(x) = D(x) + ρ(x₁) E(x₁), x₁ met by a cosine-distributed
 /// ray, D from a random point of the lamp.
 struct Twin<'a> {
-    exact: Exhaustive<'a>,
+    exact: BruteForce<'a>,
     /// By triangle.
     albedo: Vec<[f32; 3]>,
     /// The lamp's two triangles, of one area.
@@ -270,7 +270,7 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let material = |t: u32| [0, 0, 0, 1, 2, 3].get(t as usize / 2).copied().unwrap_or(0);
     let triangles = scene.mesh().triangles.len() as u32;
     let twin = Twin {
-        exact: Exhaustive(scene.mesh()),
+        exact: BruteForce(scene.mesh()),
         albedo: (0..triangles).map(|t| albedo[material(t)]).collect(),
         lamp: [10, 11],
         emission: [17.0, 12.0, 4.0],
@@ -306,13 +306,13 @@ fn coordinates(low: f32, high: f32) -> [Vec2; 4] {
 
 /// What a document of one square emits and reflects, as means over its texels.
 fn square(material: serde_json::Value, image: Option<(usize, usize, Vec<[u8; 3]>)>) -> Surfaces {
-    square_reflecting(material, image, Reflected::Diffusely)
+    square_reflecting(material, image, BounceAlbedo::Diffuse)
 }
 
 fn square_reflecting(
     material: serde_json::Value,
     image: Option<(usize, usize, Vec<[u8; 3]>)>,
-    reflected: Reflected,
+    reflected: BounceAlbedo,
 ) -> Surfaces {
     let mut document = Document::default();
     if let Some((width, height, pixels)) = image {
@@ -364,14 +364,20 @@ fn dielectrics_reflect_more_than_their_base_colour_where_that_is_asked_for() {
         assert!(Vec3::from(found).abs_diff_eq(expected.into(), 1e-4), "{found:?} where {expected:?} is expected");
     };
     let specular = |roughness: f32| specular_albedo(Masking::Smith, roughness);
-    near(reflects([0.2, 0.0], None, Reflected::Diffusely), [0.5, 0.25, 0.97]);
-    near(reflects([0.2, 0.0], None, Reflected::InAll), [0.5 + specular(0.2), 0.25 + specular(0.2), 1.0]);
-    near(reflects([1.0, 0.0], None, Reflected::InAll), [0.5, 0.25, 0.97].map(|colour| colour + specular(1.0)));
-    near(reflects([0.2, 1.0], None, Reflected::InAll), [0.5, 0.25, 0.97]);
+    near(reflects([0.2, 0.0], None, BounceAlbedo::Diffuse), [0.5, 0.25, 0.97]);
+    near(
+        reflects([0.2, 0.0], None, BounceAlbedo::DiffuseAndSpecular),
+        [0.5 + specular(0.2), 0.25 + specular(0.2), 1.0],
+    );
+    near(
+        reflects([1.0, 0.0], None, BounceAlbedo::DiffuseAndSpecular),
+        [0.5, 0.25, 0.97].map(|colour| colour + specular(1.0)),
+    );
+    near(reflects([0.2, 1.0], None, BounceAlbedo::DiffuseAndSpecular), [0.5, 0.25, 0.97]);
     // The texture's green is how rough it is and its blue how much of a metal, as they stand: two fifths are 102, three
     // quarters 191, and not what sRGB makes of them. (Red says nothing.)
     let mixed = specular(0.2) * (1.0 - 191.0 / 255.0);
-    let found = reflects([0.5, 1.0], Some([255, 102, 191]), Reflected::InAll);
+    let found = reflects([0.5, 1.0], Some([255, 102, 191]), BounceAlbedo::DiffuseAndSpecular);
     near(found, [0.5 + mixed, 0.25 + mixed, 0.97 + mixed]);
 }
 
@@ -458,11 +464,11 @@ fn the_baked_scene_keeps_its_materials_and_carries_the_lightmap() {
         document.quad(SQUARE, material, Mat4::from_translation(Vec3::Y * height), &[whole]);
     }
     document.write(&source);
-    let model = read_gltf(&source, 64, Reflected::Diffusely, &Silent).unwrap();
+    let model = read_gltf(&source, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
     let irradiance = Rgb::filled(64, 64, [3.0, 2.0, 1.0]);
     write_lightmapped_glb(&baked, &source, &model, Some(&irradiance)).unwrap();
 
-    let again = read_gltf(&baked, 64, Reflected::Diffusely, &Silent).unwrap();
+    let again = read_gltf(&baked, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
     assert_eq!((&again.mesh.uvs, &again.mesh.positions), (&model.mesh.uvs, &model.mesh.positions));
     let bytes = std::fs::read(&baked).unwrap();
     let json: serde_json::Value =
@@ -504,6 +510,6 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
     document.write(&path);
-    let error = read_gltf(&path, 16, Reflected::Diffusely, &Silent).err().unwrap().to_string();
+    let error = read_gltf(&path, 16, BounceAlbedo::Diffuse, &Silent).err().unwrap().to_string();
     assert!(error.contains("node 1") && error.contains("scene.gltf"), "{error}");
 }

@@ -29,7 +29,7 @@ fn points() -> Vec<SurfacePoint> {
         position: position.to_array(),
         triangle: 0,
         normal: normal.to_array(),
-        sequence: 0,
+        index: 0,
     };
     let place = |i: u32| [(i % SIDE) as f32 * TEXEL, ((i / SIDE) as f32 + 0.5) * TEXEL];
     let floor = (0..SIDE * SIDE).map(|i| point(along * place(i)[0] + across * place(i)[1], up));

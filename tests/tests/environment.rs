@@ -14,7 +14,7 @@ use texir_core::lights::Lights;
 use texir_core::progress::Silent;
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
-use texir_core::scene::trace::Exhaustive;
+use texir_core::scene::trace::BruteForce;
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_gpu::GpuBackend;
 use texir_tests::compare::{Tolerance, lanes3};
@@ -36,7 +36,7 @@ fn ground(with_box: bool) -> Arc<Scene> {
 /// Points on the ground.
 fn points(scene: &Scene) -> Vec<SurfacePoint> {
     let at = |i: u32| Hit { triangle: i % 2, u: 0.1 + 0.01 * i as f32, v: 0.55 - 0.012 * i as f32, t: 0.0 };
-    (0..40).map(|i| SurfacePoint { sequence: i, ..SurfacePoint::new(scene.mesh(), &at(i), None) }).collect()
+    (0..40).map(|i| SurfacePoint { index: i, ..SurfacePoint::new(scene.mesh(), &at(i), None) }).collect()
 }
 
 /// A sky that brightens towards the zenith and towards one side, with a window of other light in it.
@@ -90,7 +90,7 @@ fn sky_and_lit_surfaces_add_up_as_in_the_twin() {
     backend.set_environment(Some(&sky)).unwrap();
     let gather = Gather::new(64, 32, 5);
     let got = backend.irradiance(&points, gather, &Silent).unwrap();
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     let twin = |environment| -> Vec<f64> {
         let lighting = Lighting { tracer: &exact, radiance: &radiance, environment };
         let at = |p| irradiance::<f64, _>(&lighting, &lights, p, gather).irradiance;
@@ -149,13 +149,7 @@ fn a_mirror_shows_the_sky() {
     backend.set_tbl(&Rgb::filled(2, 2, [0.0; 3]), &Lights::none(scene.mesh())).unwrap();
     backend.set_environment(Some(&Environment::constant([3.0, 2.0, 1.0]).unwrap())).unwrap();
     let pixels: Vec<ShadePoint> = (points(&scene).iter())
-        .map(|p| ShadePoint {
-            position: p.position,
-            sequence: 0,
-            normal: p.normal,
-            view: p.normal,
-            irradiance: [0.0; 3],
-        })
+        .map(|p| ShadePoint { position: p.position, index: 0, normal: p.normal, view: p.normal, irradiance: [0.0; 3] })
         .collect();
     let mirrors = vec![Material { metallic: 1.0, ..Material::dielectric([1.0; 3], 0.01) }; pixels.len()];
     let sampling = Sampling { samples: 8, seed: 3 };

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Material, RoughnessGradient, Sampling, Sequences, ShadePoint,
 };
-use texir_core::brdf::{fresnel_weight, schlick};
+use texir_core::brdf::{fresnel_weight, g_schlick};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
 use texir_core::lights::Lights;
@@ -18,7 +18,7 @@ use texir_core::rng::{hash, sobol2};
 use texir_core::scene::Scene;
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::{Pyramid, SparseRows, Tap};
-use texir_gpu::{GatherShape, Gpu, GpuBackend, HierarchyStorage};
+use texir_gpu::{BvhStorage, GatherShape, Gpu, GpuBackend};
 use texir_tests::compare::{Tolerance, lanes3};
 use texir_tests::{gpu, scenes};
 
@@ -39,7 +39,7 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
             let triangle = hash(i) % scene.mesh().triangles.len() as u32;
             let [u, v] = sobol2(i, 9).map(|x| 0.05 + 0.45 * x);
             let point = SurfacePoint::new(scene.mesh(), &Hit { triangle, u, v, t: 0.0 }, None);
-            SurfacePoint { sequence: i, ..point }
+            SurfacePoint { index: i, ..point }
         })
         .collect()
 }
@@ -73,7 +73,7 @@ fn shading(points: &[SurfacePoint]) -> (Vec<ShadePoint>, Vec<Material>) {
         let view = (n + 0.7 * n.any_orthonormal_vector()).normalize();
         let point = ShadePoint {
             position: p.position,
-            sequence: i as u32,
+            index: i as u32,
             normal: p.normal,
             view: view.to_array(),
             irradiance: [1.0, 2.0, 3.0],
@@ -132,8 +132,8 @@ fn buffers_and_textures_hold_the_same_hierarchy() {
     let scene = Arc::new(Scene::new(scenes::subdivided(room().mesh(), 4)).unwrap());
     assert!(scene.nodes().len() > 8192 * 16, "its nodes are in one row of a texture");
     let points = points(&scene, 200);
-    let [buffers, textures] = [HierarchyStorage::Buffers, HierarchyStorage::Textures].map(|place| {
-        let mut backend = GpuBackend::with_hierarchy(&gpu, scene.clone(), place).unwrap();
+    let [buffers, textures] = [BvhStorage::Buffers, BvhStorage::Textures].map(|place| {
+        let mut backend = GpuBackend::with_bvh_storage(&gpu, scene.clone(), place).unwrap();
         light(&mut backend);
         let e = backend.irradiance(&points, Gather::new(64, 64, 6), &Silent).unwrap();
         (e, backend.primary(&scenes::cameras()[0], scenes::cameras()[0].rows()).unwrap())
@@ -209,7 +209,7 @@ fn a_closed_room_of_one_radiance_is_a_furnace() {
     let sampling = Sampling { samples: 16, seed: 3 };
     let shaded = backend.shade(&pixels, &mirrors, sampling, RoughnessGradient::Exact, &Silent).unwrap();
     let nv = 1.0 / 1.49f64.sqrt();
-    let weight = (schlick(nv, f64::from(roughness)) * nv).powi(2);
+    let weight = (g_schlick(nv, f64::from(roughness)) * nv).powi(2);
     let x = fresnel_weight(nv);
     let reflected = |f0: f64, l: f64| weight * l * (f0 * (1.0 - x) + x);
     let expected: Vec<f64> =
@@ -231,7 +231,7 @@ fn the_same_call_gives_the_same_bits_however_it_is_cut() {
     let mut fresh = lit(&gpu, &scene);
     // A point's samples follow the sequence that it carries, so that a subset gathers alike.
     assert!(whole[17..40] == fresh.irradiance(&points[17..40], gather, &Silent).unwrap()[..]);
-    let moved: Vec<SurfacePoint> = points[17..40].iter().map(|p| SurfacePoint { sequence: 0, ..*p }).collect();
+    let moved: Vec<SurfacePoint> = points[17..40].iter().map(|p| SurfacePoint { index: 0, ..*p }).collect();
     assert!(whole[17..40] != fresh.irradiance(&moved, gather, &Silent).unwrap()[..]);
 
     let (pixels, materials) = shading(&points);
@@ -332,7 +332,7 @@ fn misused(backend: &mut dyn Backend) {
     backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
     let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
     assert!(none.contains("samples"), "{none}");
-    let foreign = Lights { numbers: vec![0; 3], ..dark };
+    let foreign = Lights { light_of_triangle: vec![0; 3], ..dark };
     let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
     assert!(foreign.contains("another mesh"), "{foreign}");
     let clusterless = Lights { clusters: Vec::new(), ..Lights::none(scene.mesh()) };

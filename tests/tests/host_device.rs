@@ -11,7 +11,7 @@ use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 use texir_core::specular_table::{STRATA, TableSampling};
 use texir_core::surface::{Hit, SurfacePoint};
-use texir_gpu::{Gpu, GpuBackend, HierarchyStorage, wgpu};
+use texir_gpu::{BvhStorage, Gpu, GpuBackend, wgpu};
 use texir_tests::scenes;
 
 /// A device with these limits, of the adapter that the other tests run on.
@@ -42,7 +42,7 @@ fn wgpu_s_default_limits_are_enough_for_a_small_scene_and_no_less() {
     let sky = Environment::new(sky).unwrap();
     // What binds most: gathers that sample the lights and the sky, and light samples, of a hierarchy in buffers.
     let found = [own, texir_tests::gpu()].map(|gpu| {
-        let mut backend = GpuBackend::with_hierarchy(&gpu, scene.clone(), HierarchyStorage::Buffers).unwrap();
+        let mut backend = GpuBackend::with_bvh_storage(&gpu, scene.clone(), BvhStorage::Buffers).unwrap();
         let lights = scenes::lights(&mut backend, &radiance);
         assert!(!lights.is_empty());
         backend.set_tbl(&radiance, &lights).unwrap();

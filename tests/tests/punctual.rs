@@ -10,7 +10,7 @@ use texir_core::cpu::punctual::punctual;
 use texir_core::progress::Silent;
 use texir_core::punctual::PunctualLight;
 use texir_core::scene::Scene;
-use texir_core::scene::trace::Exhaustive;
+use texir_core::scene::trace::BruteForce;
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_gpu::GpuBackend;
 use texir_tests::compare::{Tolerance, lanes3};
@@ -94,7 +94,7 @@ fn shadows_and_sums_are_those_of_the_twin() {
     let scene = scene();
     let points = points(&scene);
     let lights: Vec<PunctualLight> = lights().into_iter().map(|(light, _)| light).collect();
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     let twin = |lights: &[PunctualLight]| -> Vec<f64> {
         let at = |p| {
             lights

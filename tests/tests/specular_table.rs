@@ -17,7 +17,7 @@ use texir_core::progress::Silent;
 use texir_core::raster::Rgb;
 use texir_core::real::V3;
 use texir_core::scene::Scene;
-use texir_core::scene::trace::Exhaustive;
+use texir_core::scene::trace::BruteForce;
 use texir_core::specular_table::{Curve, NODES, STRATA, TableSampling, node};
 use texir_gpu::GpuBackend;
 use texir_tests::compare::Tolerance;
@@ -53,10 +53,10 @@ fn lamp_light() -> Rgb {
 }
 
 /// A pixel of the floor: its strata lie within a few millimetres.
-fn floor_pixel(view: Vec3, sequence: u32) -> [ShadePoint; STRATA] {
+fn floor_pixel(view: Vec3, index: u32) -> [ShadePoint; STRATA] {
     std::array::from_fn(|stratum| ShadePoint {
         position: [0.003 * (stratum % 2) as f32, 0.003 * (stratum / 2) as f32, 1e-4],
-        sequence: sequence + stratum as u32,
+        index: index + stratum as u32,
         normal: [0.0, 0.0, 1.0],
         view: view.normalize().to_array(),
         irradiance: [0.0; 3],
@@ -111,7 +111,7 @@ fn red(table: [V3<f64>; NODES]) -> Vec<f64> {
 #[test]
 fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
     let mesh = box_with_lamp();
-    let (one, exact) = (Rgb::filled(4, 4, [1.0; 3]), Exhaustive(&mesh));
+    let (one, exact) = (Rgb::filled(4, 4, [1.0; 3]), BruteForce(&mesh));
     let lighting = Lighting { tracer: &exact, radiance: &one, environment: None };
     let noise = Tolerance { absolute: 0.0, relative: 0.01 };
     for nv in [0.3, 0.5, 0.8, 1.0] {
@@ -136,7 +136,7 @@ fn in_a_furnace_every_node_is_the_albedo_of_its_lobe() {
 #[test]
 fn a_small_lamp_shines_as_in_shading_at_every_node() {
     let mesh = box_with_lamp();
-    let (light, exact) = (lamp_light(), Exhaustive(&mesh));
+    let (light, exact) = (lamp_light(), BruteForce(&mesh));
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     // Mirrors the lamp, so that sharp lobes see it.
     let pixel = floor_pixel(Vec3::new(-0.4, -0.15, 0.9), 5);
@@ -162,7 +162,7 @@ fn a_small_lamp_shines_as_in_shading_at_every_node() {
     noise.check("with light samples", &table(&lights, 256), &expected);
     // Negative control: light samples whose density is left out of the sum are too bright.
     let mut uncounted = lights;
-    uncounted.triangles.iter_mut().for_each(|light| light.per_area = 0.0);
+    uncounted.triangles.iter_mut().for_each(|light| light.pdf_area = 0.0);
     assert!(noise.failures(&table(&uncounted, 256), &expected).len() >= 2);
 }
 
@@ -203,7 +203,7 @@ fn wgsl_and_twin_agree() {
     let lights = scenes::lights(&mut backend, &radiance);
     assert!(!lights.is_empty());
     let pixels = pixels(&mut backend, 41);
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     let lighting = Lighting { tracer: &exact, radiance: &radiance, environment: None };
     for lights in [lights, Lights::none(scene.mesh())] {
         backend.set_tbl(&radiance, &lights).unwrap();

@@ -17,7 +17,7 @@ use texir_core::progress::Silent;
 use texir_core::real::V3;
 use texir_core::rng::{hash, hash2, sobol2};
 use texir_core::scene::Scene;
-use texir_core::scene::trace::{Exhaustive, TraceHit};
+use texir_core::scene::trace::{BruteForce, TraceHit};
 use texir_core::surface::{Hit, SurfacePoint, TexelHit};
 use texir_core::texture::{Footprints, Pyramid, SparseRows, Tap};
 use texir_gpu::GpuBackend;
@@ -44,7 +44,7 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
             let [a, b] = sobol2(i, 4);
             let (u, v) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
             let hit = Hit { triangle, u: 0.9 * u, v: 0.9 * v, t: 0.0 };
-            SurfacePoint { sequence: i, ..SurfacePoint::new(scene.mesh(), &hit, None) }
+            SurfacePoint { index: i, ..SurfacePoint::new(scene.mesh(), &hit, None) }
         })
         .collect()
 }
@@ -53,7 +53,7 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
 fn primary_visibility() {
     let scene = room();
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera, camera.rows()).unwrap();
         let twin: Vec<TraceHit<f64>> = (0..camera.pixels())
@@ -90,13 +90,13 @@ fn rays_that_leave_the_scene_miss() {
     backend.set_tbl(&scenes::smooth_light(32), &Lights::none(scene.mesh())).unwrap();
     for camera in scenes::cameras() {
         let hits = backend.primary(&camera, camera.rows()).unwrap();
-        let exact = Exhaustive(scene.mesh());
+        let exact = BruteForce(scene.mesh());
         let twin = |i: usize| primary::primary::<f64>(&exact, &camera, i % camera.width, i / camera.width).is_some();
         let wrong: Vec<_> = (0..hits.len()).filter(|&i| hits[i].is_hit() != twin(i)).collect();
         assert!(wrong.is_empty(), "pixels {wrong:?}");
         assert!(hits.contains(&Hit::MISS));
     }
-    let up = SurfacePoint { position: [0.5, 0.5, 0.1], triangle: 0, normal: [0.0, 0.0, 1.0], sequence: 0 };
+    let up = SurfacePoint { position: [0.5, 0.5, 0.1], triangle: 0, normal: [0.0, 0.0, 1.0], index: 0 };
     let gather = Gather::new(32, 0, 1);
     let nothing = Gathered { irradiance: [0.0; 3], back_faces: 0.0 };
     assert_eq!(backend.irradiance(&[up], gather, &Silent).unwrap(), [nothing]);
@@ -152,7 +152,7 @@ fn irradiance_gather() {
     assert!(lights.triangles.len() > 10);
     backend.set_tbl(&light, &lights).unwrap();
     let points = points(&scene, 150);
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let flat = |g: &Gathered| [g.irradiance[0], g.irradiance[1], g.irradiance[2], g.back_faces].map(f64::from);
     let own = |part| Sequences::Own { part };
@@ -186,7 +186,7 @@ fn projection() {
     let scene = room();
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let points = points(&scene, 6000);
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     for camera in scenes::cameras() {
         let got = backend.project(&points, &camera).unwrap();
         let (mut found, mut expected, mut seen) = (vec![], vec![], 0);
@@ -212,7 +212,7 @@ fn shading(backend: &mut GpuBackend, camera: &Camera, step: usize) -> (Vec<Shade
             let n = i as u32;
             let shade_point = ShadePoint {
                 position: point.position,
-                sequence: n,
+                index: n,
                 normal: point.normal,
                 view: view.to_array(),
                 irradiance: [unit(n, 1), 2.0 * unit(n, 2), 3.0 * unit(n, 3)],
@@ -236,7 +236,7 @@ fn shading_and_its_jacobian() {
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     backend.set_tbl(&light, &Lights::none(scene.mesh())).unwrap();
     let (points, materials) = shading(&mut backend, &scenes::cameras()[0], 17);
-    let exact = Exhaustive(scene.mesh());
+    let exact = BruteForce(scene.mesh());
     let lighting = Lighting { tracer: &exact, radiance: &light, environment: None };
     let sampling = Sampling { samples: 16, seed: 5 };
     let mut first: Option<Vec<f64>> = None;
@@ -251,8 +251,8 @@ fn shading_and_its_jacobian() {
         TRACED.check("A", &of(|s| &s.specular_scale), &part(|s| s.specular_scale.0));
         // ψ and the tilt's divisions by cosines amplify rounding.
         let slopes = Tolerance { absolute: 5e-3, relative: 5e-3 };
-        let slope = of(|s| &s.d_roughness);
-        slopes.check("dL_o/dr", &slope, &part(|s| s.d_roughness.0));
+        let slope = of(|s| &s.roughness_jacobian);
+        slopes.check("dL_o/dr", &slope, &part(|s| s.roughness_jacobian.0));
         // Negative control: the two derivatives are told apart.
         if let Some(first) = &first {
             assert!(slopes.failures(&slope, first).len() > points.len());
@@ -268,7 +268,7 @@ fn shading_adjoint() {
     let n = points.len() as u32;
     let random3 = |i: u32, s: u32| [0, 1, 2].map(|c| 4.0 * unit(i, s + c) - 1.0);
     let shaded: Vec<Shaded> = (0..n)
-        .map(|i| Shaded { radiance: [0.0; 3], specular_scale: random3(i, 20), d_roughness: random3(i, 30) })
+        .map(|i| Shaded { radiance: [0.0; 3], specular_scale: random3(i, 20), roughness_jacobian: random3(i, 30) })
         .collect();
     let delta: Vec<[f32; 3]> = (0..n).map(|i| random3(i, 40)).collect();
     let got = backend.shade_vjp(&points, &materials, &shaded, &delta).unwrap();
@@ -279,7 +279,7 @@ fn shading_adjoint() {
             let s = ShadedIn {
                 radiance: V3::zero(),
                 specular_scale: V3::of(shaded[i].specular_scale),
-                d_roughness: V3::of(shaded[i].d_roughness),
+                roughness_jacobian: V3::of(shaded[i].roughness_jacobian),
             };
             let d = shade_vjp::shade_vjp(&points[i], &wide(&materials[i]), &s, V3::of(delta[i]));
             [d.albedo.0[0], d.albedo.0[1], d.albedo.0[2], d.roughness, d.metallic]

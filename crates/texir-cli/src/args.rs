@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use bytesize::ByteSize;
 use clap::Args;
 use clap::builder::{RangedI64ValueParser, RangedU64ValueParser};
-use texir_core::atlas::LARGEST_SIDE;
-use texir_core::backend::MOST_SAMPLES;
+use texir_core::atlas::MAX_SIDE;
+use texir_core::backend::MAX_SAMPLES;
 use texir_core::capture::{self, Capture, LoadOptions};
 
 use crate::failure::Failure;
@@ -69,10 +69,10 @@ pub fn number(text: &str, is_wanted: impl Fn(f32) -> bool, wanted: &str) -> Resu
 
 /// Side of a map, texels, as options have it.
 pub fn side() -> RangedU64ValueParser<usize> {
-    RangedU64ValueParser::new().range(1..=LARGEST_SIDE as u64)
+    RangedU64ValueParser::new().range(1..=MAX_SIDE as u64)
 }
 
 /// Rays of a texel or a pixel, as options have them: the error of more is far below what images can tell.
 pub fn rays() -> RangedI64ValueParser<u32> {
-    clap::value_parser!(u32).range(1..=i64::from(MOST_SAMPLES))
+    clap::value_parser!(u32).range(1..=i64::from(MAX_SAMPLES))
 }

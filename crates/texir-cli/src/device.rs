@@ -54,7 +54,7 @@ pub fn open_all(scene: &Arc<Scene>, session: &Session<'_>) -> Result<Vec<Box<dyn
 /// [`Gpu::headless`], telling of better adapters that do not serve.
 fn headless(adapter: Option<&str>, console: &Console) -> texir_core::error::Result<Gpu> {
     let gpu = Gpu::headless(adapter)?;
-    gpu.passed_over().iter().for_each(|why| console.note(why));
+    gpu.rejected_adapters().iter().for_each(|why| console.note(why));
     Ok(gpu)
 }
 
@@ -65,7 +65,7 @@ fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> 
     }
     let adapter = config.adapter.as_deref();
     match (config.backend, headless(adapter, console)) {
-        (BackendChoice::Auto, Ok(gpu)) if gpu.is_cpu() && adapter.is_none() => {
+        (BackendChoice::Auto, Ok(gpu)) if gpu.is_software() && adapter.is_none() => {
             console.detail("the only adapter that serves is a processor playing a GPU: the CPU backend traces faster");
             Ok(None)
         }

@@ -23,7 +23,7 @@ const OFF_EDGE: f32 = 1e-3;
 pub const DEFAULT_SIDE: usize = 1024;
 
 /// Largest side of an atlas, texels: beyond it, no graphics card holds the texture, and readers of images refuse it.
-pub const LARGEST_SIDE: usize = 16_384;
+pub const MAX_SIDE: usize = 16_384;
 
 /// Texels of a map that are written at a time, and mapped at least.
 pub(crate) const BAND: usize = 1 << 19;
@@ -37,7 +37,7 @@ pub struct Atlas {
     pub height: usize,
     /// Atlas index (row · width + column) of each valid texel, ascending.
     pub texels: Vec<u32>,
-    /// The surface point of each valid texel, on the front side of its triangle; its sequence is the texel's index.
+    /// The surface point of each valid texel, on the front side of its triangle; its index is the texel's.
     pub points: Vec<SurfacePoint>,
     /// Texels whose centre lies in a triangle (the others are only touched by one), per valid texel.
     pub inside: Vec<bool>,
@@ -45,12 +45,12 @@ pub struct Atlas {
 
 impl Atlas {
     /// Maps every texel of `[width, height]` to the backend's mesh. Errors when no texel is covered, or a side is longer
-    /// than [`LARGEST_SIDE`]. Where charts overlap or leave [0, 1], texels are another surface's or missing;
+    /// than [`MAX_SIDE`]. Where charts overlap or leave [0, 1], texels are another surface's or missing;
     /// `mesh_io::atlas_report` tells.
     pub fn new(backend: &mut dyn Backend, [width, height]: [usize; 2]) -> Result<Self> {
         let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };
         map(backend, [width, height], |_, points, inside| {
-            atlas.texels.extend(points.iter().map(|point| point.sequence));
+            atlas.texels.extend(points.iter().map(|point| point.index));
             atlas.points.extend(points);
             atlas.inside.extend(inside);
             Ok(())
@@ -108,9 +108,9 @@ pub(crate) fn map(
     [width, height]: [usize; 2],
     mut take: impl FnMut(Range<usize>, Vec<SurfacePoint>, Vec<bool>) -> Result<()>,
 ) -> Result<()> {
-    if ![width, height].iter().all(|side| (1..=LARGEST_SIDE).contains(side)) {
+    if ![width, height].iter().all(|side| (1..=MAX_SIDE).contains(side)) {
         return Err(Error::invalid(format!(
-            "the atlas is {width}×{height} texels; expected at least 1×1, and at most {LARGEST_SIDE} a side"
+            "the atlas is {width}×{height} texels; expected at least 1×1, and at most {MAX_SIDE} a side"
         )));
     }
     let scene = backend.scene().clone();
@@ -120,7 +120,7 @@ pub(crate) fn map(
         let first = rows.start * width;
         let covered = || hits.iter().zip(first..).filter_map(|(hit, i)| Some((hit.as_ref()?, i)));
         let point = |(hit, i): (&TexelHit, usize)| SurfacePoint {
-            sequence: i as u32,
+            index: i as u32,
             ..SurfacePoint::new(scene.mesh(), &off_edge(hit), None)
         };
         any |= covered().next().is_some();

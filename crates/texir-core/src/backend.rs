@@ -21,7 +21,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::rng::{Z_SIDE, along_z_curve, hash2};
+use crate::rng::{MORTON_SIDE, hash2, scrambled_morton};
 use crate::scene::Scene;
 use crate::specular_table::{Curve, STRATA, TableSampling};
 use crate::surface::{Hit, SurfacePoint, TexelHit};
@@ -37,12 +37,12 @@ pub struct Sampling {
 }
 
 /// The most samples of one technique at a point: sums in single precision gain nothing from more.
-pub const MOST_SAMPLES: u32 = 1 << 20;
+pub const MAX_SAMPLES: u32 = 1 << 20;
 
 /// The strongest radiance that lighting may have: of more, squares leave single precision.
-pub const BRIGHTEST: f32 = 1e15;
+pub const MAX_RADIANCE: f32 = 1e15;
 
-/// How many rays the irradiance gather sends, and where: at most [`MOST_SAMPLES`] of each kind.
+/// How many rays the irradiance gather sends, and where: at most [`MAX_SAMPLES`] of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Gather {
     /// Cosine-distributed rays per point, at least 1.
@@ -59,14 +59,14 @@ pub struct Gather {
 /// Which stretch of which lattice sequence ([`lattice2`](crate::rng::lattice2)) a gather's points draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Sequences {
-    /// Every point has its own, shifted by `hash(seed, sequence)`, and draws its stretch `part`: 0 the first `cosine`
+    /// Every point has its own, shifted by `hash(seed, index)`, and draws its stretch `part`: 0 the first `cosine`
     /// and `light` points, 1 as many after them, and so on. The mean of gathers 0 and 1 is the gather of twice as many
     /// rays.
     Own {
         /// Which stretch.
         part: u32,
     },
-    /// The points are texels of a map `width` texels wide, their sequence numbers row · width + column. Each block of 32 ×
+    /// The points are texels of a map `width` texels wide, their indices row · width + column. Each block of 32 ×
     /// 32 shares one sequence, of which its texels draw consecutive stretches in order of a Z curve. A texel's own error
     /// is as with [`Sequences::Own`], but neighbours' errors cancel, which leaves a denoiser less to remove (Ahmed and
     /// Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of Pixels",
@@ -90,8 +90,8 @@ impl Sequences {
             Self::Shared { width, part, parts } => {
                 let width = width.max(1);
                 let (x, y) = (number % width, number / width);
-                let seed = hash2(seed, y / Z_SIDE * width.div_ceil(Z_SIDE) + x / Z_SIDE);
-                let along = along_z_curve([x % Z_SIDE, y % Z_SIDE], hash2(seed, 0));
+                let seed = hash2(seed, y / MORTON_SIDE * width.div_ceil(MORTON_SIDE) + x / MORTON_SIDE);
+                let along = scrambled_morton([x % MORTON_SIDE, y % MORTON_SIDE], hash2(seed, 0));
                 (seed, along.wrapping_mul(parts).wrapping_add(part))
             }
         }
@@ -148,8 +148,8 @@ pub enum RoughnessGradient {
 pub struct ShadePoint {
     /// Ray origin, off the surface (see [`SurfacePoint`]).
     pub position: [f32; 3],
-    /// Index of the item's sample sequence: the pixel's index in its view, so that a subset draws the same samples.
-    pub sequence: u32,
+    /// Index of the item: the pixel's in its view. It chooses the item's samples, so that a subset draws the same.
+    pub index: u32,
     /// Unit shading normal, on the camera's side.
     pub normal: [f32; 3],
     /// Unit direction to the camera.
@@ -165,7 +165,7 @@ impl ShadePoint {
         let surface = SurfacePoint::new(mesh, hit, Some(to_camera));
         Self {
             position: surface.position,
-            sequence: pixel,
+            index: pixel,
             normal: surface.normal,
             view: to_camera.to_array(),
             irradiance,
@@ -174,7 +174,7 @@ impl ShadePoint {
 
     /// Where its rays leave; of no triangle.
     pub fn origin(&self) -> SurfacePoint {
-        SurfacePoint { position: self.position, triangle: Hit::NONE, normal: self.normal, sequence: self.sequence }
+        SurfacePoint { position: self.position, triangle: Hit::NONE, normal: self.normal, index: self.index }
     }
 
     /// n·v.
@@ -209,7 +209,7 @@ pub struct Shaded {
     /// A = Σ w_s L_s (1−x_s) = ∂L_o/∂F0.
     pub specular_scale: [f32; 3],
     /// ∂L_o/∂r.
-    pub d_roughness: [f32; 3],
+    pub roughness_jacobian: [f32; 3],
 }
 
 /// Cotangents of a [`Material`]: ∂Loss/∂(each parameter).
@@ -277,7 +277,7 @@ pub trait Backend {
 
     /// Sets the radiance texture that [`Backend::irradiance`], [`Backend::shade`] and [`Backend::specular_tables`] look up
     /// at ray hits (linear RGB, nearest texel), and the lights in it that the first and the last sample. Errors on
-    /// radiance outside 0 to [`BRIGHTEST`], and on lights of another mesh.
+    /// radiance outside 0 to [`MAX_RADIANCE`], and on lights of another mesh.
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
 
     /// Sets what rays of [`Backend::irradiance`] and [`Backend::shade`] that miss the mesh see: at first `None`, black.
@@ -433,10 +433,12 @@ mod tests {
     #[test]
     fn texels_of_a_block_draw_stretches_of_their_own() {
         let block = |seed: u32| -> Vec<(u32, u32)> {
-            (0..Z_SIDE * Z_SIDE).map(|i| SHARED.of(seed, (32 + i / Z_SIDE) * WIDTH + 64 + i % Z_SIDE)).collect()
+            (0..MORTON_SIDE * MORTON_SIDE)
+                .map(|i| SHARED.of(seed, (32 + i / MORTON_SIDE) * WIDTH + 64 + i % MORTON_SIDE))
+                .collect()
         };
         let [a, b] = [3, 4].map(block);
-        assert!(a.iter().all(|(seed, stretch)| *seed == a[0].0 && *stretch < Z_SIDE * Z_SIDE));
+        assert!(a.iter().all(|(seed, stretch)| *seed == a[0].0 && *stretch < MORTON_SIDE * MORTON_SIDE));
         let different: std::collections::BTreeSet<u32> = a.iter().map(|(_, stretch)| *stretch).collect();
         assert_eq!(different.len(), a.len());
         let alike = (0..a.len()).filter(|&i| a[i].1 == b[i].1).count();

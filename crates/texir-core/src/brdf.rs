@@ -59,14 +59,14 @@ impl<R: Real> Cosines<R> {
 }
 
 /// D = α² / (π (nh²(α²−1)+1)²): GGX distribution of half-vectors, per solid angle.
-pub fn distribution<R: Real>(nh: R, r: R) -> R {
-    distribution_at(R::of(1.0) - nh * nh, r)
+pub fn ndf<R: Real>(nh: R, r: R) -> R {
+    ndf_from_sin2(R::of(1.0) - nh * nh, r)
 }
 
-/// [`distribution`] by sin²θ_h instead of nh: D = α² / (π (α² + sin²θ_h (1−α²))²). In single precision nh cannot
+/// [`ndf`] by sin²θ_h instead of nh: D = α² / (π (α² + sin²θ_h (1−α²))²). In single precision nh cannot
 /// resolve the peak of a smooth lobe; the sine of a small angle can.
 #[inline]
-pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
+pub fn ndf_from_sin2<R: Real>(sin2: R, r: R) -> R {
     let a2 = r * r * r * r;
     let d = a2 + sin2 * (R::of(1.0) - a2);
     a2 / (R::of(std::f64::consts::PI) * d * d)
@@ -76,10 +76,10 @@ pub fn distribution_at<R: Real>(sin2: R, r: R) -> R {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Masking {
-    /// [`schlick`]: Schlick's approximation as TexIR has it, with the k that Karis gives for point lights.
+    /// [`g_schlick`]: Schlick's approximation as TexIR has it, with the k that Karis gives for point lights.
     #[default]
     Schlick,
-    /// [`smith`]: Smith's term of GGX, as glTF 2.0 (appendix B.3.2) and engines have it.
+    /// [`g_smith`]: Smith's term of GGX, as glTF 2.0 (appendix B.3.2) and engines have it.
     Smith,
 }
 
@@ -88,8 +88,8 @@ impl Masking {
     #[inline]
     pub fn at<R: Real>(self, c: R, r: R) -> R {
         match self {
-            Self::Schlick => schlick(c, r),
-            Self::Smith => smith(c, r),
+            Self::Schlick => g_schlick(c, r),
+            Self::Smith => g_smith(c, r),
         }
     }
 }
@@ -97,7 +97,7 @@ impl Masking {
 /// g(c) = 2/(c + √(α² + (1−α²)c²)) (Walter et al., "Microfacet Models for Refraction through Rough Surfaces", 2007, eq.
 /// 34).
 #[inline]
-pub fn smith<R: Real>(c: R, r: R) -> R {
+pub fn g_smith<R: Real>(c: R, r: R) -> R {
     let a2 = r * r * r * r;
     R::of(2.0) / (c + (a2 + (R::of(1.0) - a2) * c * c).sqrt())
 }
@@ -105,7 +105,7 @@ pub fn smith<R: Real>(c: R, r: R) -> R {
 /// g(c) = 1/(c(1−k)+k), k = (r+1)²/8 (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994, with
 /// Karis' k).
 #[inline]
-pub fn schlick<R: Real>(c: R, r: R) -> R {
+pub fn g_schlick<R: Real>(c: R, r: R) -> R {
     let k = (r + R::of(1.0)) * (r + R::of(1.0)) * R::of(0.125);
     R::of(1.0) / (c * (R::of(1.0) - k) + k)
 }
@@ -122,12 +122,12 @@ pub fn f0<R: Real>(albedo: V3<R>, metallic: R) -> V3<R> {
 
 /// f_s / F = D G / (4 nl nv) = D g(nl) g(nv) / 4. No cosine.
 pub fn specular_over_fresnel<R: Real>(masking: Masking, c: &Cosines<R>, r: R) -> R {
-    distribution(c.nh, r) * masking.at(c.nl, r) * masking.at(c.nv, r) * R::of(0.25)
+    ndf(c.nh, r) * masking.at(c.nl, r) * masking.at(c.nv, r) * R::of(0.25)
 }
 
 /// Density of the light direction under half-vector sampling, per solid angle: D nh / (4 vh).
 pub fn pdf<R: Real>(c: &Cosines<R>, r: R) -> R {
-    distribution(c.nh, r) * c.nh / (R::of(4.0) * c.vh)
+    ndf(c.nh, r) * c.nh / (R::of(4.0) * c.vh)
 }
 
 /// (sin, cos) of the polar angle of the half-vector drawn by `u`: cos²θ_h = (1−u)/(1+(α²−1)u), both without
@@ -144,7 +144,7 @@ pub fn sample_weight<R: Real>(masking: Masking, c: &Cosines<R>, r: R) -> R {
 }
 
 /// ψ_D = ∂ln D/∂r = 4/r − 8r³q/(q(r⁴−1)+1), q = nh².
-pub fn d_ln_distribution<R: Real>(nh: R, r: R) -> R {
+pub fn d_ln_ndf<R: Real>(nh: R, r: R) -> R {
     let q = nh * nh;
     let r3 = r * r * r;
     R::of(4.0) / r - R::of(8.0) * r3 * q / (q * (r3 * r - R::of(1.0)) + R::of(1.0))
@@ -153,14 +153,14 @@ pub fn d_ln_distribution<R: Real>(nh: R, r: R) -> R {
 /// ψ_D at a half-vector drawn by [`sample_half_vector`] with the same r: 4(2u−1)/r. With q = (1−u)/((1−u)+α²u) the
 /// general form reduces to this; it has no cancellation, and its mean over u is visibly 0, as D nh integrates to 1 for
 /// every r.
-pub fn d_ln_distribution_sampled<R: Real>(u: R, r: R) -> R {
+pub fn d_ln_ndf_sampled<R: Real>(u: R, r: R) -> R {
     R::of(4.0) * (R::of(2.0) * u - R::of(1.0)) / r
 }
 
-/// ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)] of [`schlick`], which paper mode descends by.
+/// ∂ln(g(nl) g(nv))/∂r = −(r+1)/4 · [(1−nl) g(nl) + (1−nv) g(nv)] of [`g_schlick`], which paper mode descends by.
 pub fn d_ln_schlick<R: Real>(nl: R, nv: R, r: R) -> R {
     let one = R::of(1.0);
-    -(r + one) * R::of(0.25) * ((one - nl) * schlick(nl, r) + (one - nv) * schlick(nv, r))
+    -(r + one) * R::of(0.25) * ((one - nl) * g_schlick(nl, r) + (one - nv) * g_schlick(nv, r))
 }
 
 /// An orthonormal basis around a unit normal (Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 2017).
@@ -200,10 +200,10 @@ mod tests {
                 let c = cosines(v, l);
                 let wide = Cosines { nl: Dual::of(c.nl), nv: Dual::of(c.nv), nh: Dual::of(c.nh), vh: Dual::of(c.vh) };
                 let f = specular_over_fresnel(Masking::Schlick, &wide, Dual::variable(r));
-                let psi = d_ln_distribution(c.nh, r) + d_ln_schlick(c.nl, c.nv, r);
+                let psi = d_ln_ndf(c.nh, r) + d_ln_schlick(c.nl, c.nv, r);
                 assert!((psi - f.du / f.re).abs() < 1e-9 * (1.0 + psi.abs()), "r {r}: {psi} against {}", f.du / f.re);
                 // Negative control: without the masking term the derivative is wrong.
-                assert!((d_ln_distribution(c.nh, r) - f.du / f.re).abs() > 1e-4);
+                assert!((d_ln_ndf(c.nh, r) - f.du / f.re).abs() > 1e-4);
             }
         }
     }
@@ -212,8 +212,8 @@ mod tests {
     fn sampled_psi_is_the_general_one() {
         for r in [0.1, 0.4, 0.9] {
             for u in [0.01, 0.3, 0.7, 0.99] {
-                let general = d_ln_distribution(sample_half_vector(u, r)[1], r);
-                assert!((general - d_ln_distribution_sampled(u, r)).abs() < 1e-6 * (1.0 + general.abs()));
+                let general = d_ln_ndf(sample_half_vector(u, r)[1], r);
+                assert!((general - d_ln_ndf_sampled(u, r)).abs() < 1e-6 * (1.0 + general.abs()));
             }
         }
     }
@@ -264,7 +264,7 @@ mod tests {
         (0..STEPS)
             .map(|i| {
                 let s = top * (i as f64 + 0.5) / STEPS as f64;
-                std::f64::consts::PI * distribution((1.0 - s).sqrt(), r) * top / STEPS as f64
+                std::f64::consts::PI * ndf((1.0 - s).sqrt(), r) * top / STEPS as f64
             })
             .sum()
     }

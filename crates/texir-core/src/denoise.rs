@@ -28,13 +28,13 @@ pub const GUIDE_RADIUS: f32 = 1.6;
 /// which would keep dark texels dark and not bright ones bright.
 pub const NOISE_RADIUS: f32 = 3.2;
 /// Radius over which the residual that the fits miss is pooled, texels.
-pub const MISS_RADIUS: f32 = 2.5;
+pub const RESIDUAL_RADIUS: f32 = 2.5;
 /// How far away a point may be that has a say in what becomes of another, texels.
-pub(crate) const REACH: f32 = RADIUS + MISS_RADIUS + RADIUS + GUIDE_RADIUS;
+pub(crate) const REACH: f32 = RADIUS + RESIDUAL_RADIUS + RADIUS + GUIDE_RADIUS;
 /// Edge of the cells that neighbours are looked for in, texels.
 pub const CELL: f32 = RADIUS / 3.0;
 // What looks no further than a cell's edge goes through the columns within one cell alone.
-const _: () = assert!(GUIDE_RADIUS <= CELL && NOISE_RADIUS <= CELL && MISS_RADIUS <= CELL);
+const _: () = assert!(GUIDE_RADIUS <= CELL && NOISE_RADIUS <= CELL && RESIDUAL_RADIUS <= CELL);
 /// A neighbour's weight falls to a quarter where its difference beyond noise is this many times the noise.
 pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share
@@ -42,9 +42,9 @@ pub const TOLERANCE: f32 = 2.0;
 pub const CURVATURE: f32 = 0.5;
 /// The halves' residual covariance counts as signal as far as it exceeds this many times the residual's variance: halves
 /// that are parts of one lattice are correlated, where independent ones are not.
-pub const CHANCE: f32 = 1.25;
+pub const RESIDUAL_THRESHOLD: f32 = 1.25;
 /// What is lost on average is given back as far as it is more than this many of its standard errors.
-pub const SIGNIFICANT: f32 = 2.0;
+pub const LOSS_SIGMAS: f32 = 2.0;
 /// The regression's ridge, as a share of the weight: keeps a fit along a line of texels solvable.
 pub const RIDGE: f32 = 1e-3;
 
@@ -55,7 +55,7 @@ pub type Halves<'a> = [&'a [[f32; 3]]; 2];
 /// What is to be denoised.
 #[derive(Clone, Copy, Debug)]
 pub struct Noisy<'a> {
-    /// Where on the surface. Their sequences are to differ: processors take points of different ones at once.
+    /// Where on the surface. Their indices are to differ: processors take points of different ones at once.
     pub points: &'a [SurfacePoint],
     /// What was found there.
     pub halves: Halves<'a>,

@@ -4,27 +4,27 @@
 /// light of a smaller contrast is found well enough by cosine samples.
 pub(crate) const CONTRAST: f32 = 3.0;
 
-/// The item at `u` in [0, 1) of cumulative probabilities, and how far `u` lies within its share, in [0, 1): what is
+/// The item at `u` in [0, 1) of cdf probabilities, and how far `u` lies within its share, in [0, 1): what is
 /// left of a number that chose an item is still uniform, so that well-spread points stay so within each item.
-pub fn invert(items: usize, cumulative: impl Fn(usize) -> f32, u: f32) -> (usize, f32) {
+pub fn sample_cdf(items: usize, cdf: impl Fn(usize) -> f32, u: f32) -> (usize, f32) {
     let (mut low, mut high) = (0, items - 1);
     while low < high {
         let middle = (low + high) / 2;
-        if cumulative(middle) <= u {
+        if cdf(middle) <= u {
             low = middle + 1;
         } else {
             high = middle;
         }
     }
-    let before = if low > 0 { cumulative(low - 1) } else { 0.0 };
-    (low, ((u - before) / (cumulative(low) - before)).clamp(0.0, BELOW_ONE))
+    let before = if low > 0 { cdf(low - 1) } else { 0.0 };
+    (low, ((u - before) / (cdf(low) - before)).clamp(0.0, BELOW_ONE))
 }
 
 /// The largest number below 1 with 24 bits.
 const BELOW_ONE: f32 = 1.0 - 1.0 / 16_777_216.0;
 
 /// Running sums of weights over their total; 1 from the last weight above 0 on, whatever was rounded.
-pub(crate) fn cumulative(weights: &[f32]) -> Vec<f32> {
+pub(crate) fn cdf(weights: &[f32]) -> Vec<f32> {
     let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
     let last = weights.iter().rposition(|&w| w > 0.0).unwrap_or(0);
     let mut sum = 0.0;
@@ -42,12 +42,12 @@ mod tests {
     #[test]
     fn inverting_draws_in_proportion_and_leaves_a_uniform_rest() {
         let weights = [0.1, 2.0, 0.0, 0.7, 1.2, 0.0];
-        let cumulative = cumulative(&weights);
-        assert_eq!(cumulative[4..], [1.0, 1.0]);
+        let cdf = cdf(&weights);
+        assert_eq!(cdf[4..], [1.0, 1.0]);
         const N: u32 = 100_000;
         let (mut count, mut rest) = ([0.0f32; 6], [0.0f32; 6]);
         for i in 0..N {
-            let (item, r) = invert(6, |i| cumulative[i], (i as f32 + 0.5) / N as f32);
+            let (item, r) = sample_cdf(6, |i| cdf[i], (i as f32 + 0.5) / N as f32);
             assert!((0.0..1.0).contains(&r));
             count[item] += 1.0;
             rest[item] += r;
@@ -56,6 +56,6 @@ mod tests {
             assert!((count[item] / N as f32 - weights[item] / 4.0).abs() < 1e-4, "{item}: {count:?}");
             assert!(weights[item] == 0.0 || (rest[item] / count[item] - 0.5).abs() < 1e-3, "{item}: {rest:?}");
         }
-        assert_eq!(invert(6, |i| cumulative[i], BELOW_ONE).0, 4);
+        assert_eq!(sample_cdf(6, |i| cdf[i], BELOW_ONE).0, 4);
     }
 }

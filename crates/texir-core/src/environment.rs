@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::distribution::{CONTRAST, cumulative, invert};
+use crate::distribution::{CONTRAST, cdf, sample_cdf};
 use crate::error::{Error, Result};
 use crate::raster::{Rgb, luminance};
 use crate::real::{Real, V3};
@@ -38,7 +38,7 @@ pub struct BrightRow {
     /// The end of the row's part of [`BrightPixels::pixels`], where the next row's begins.
     pub end: u32,
     /// Probability of this row and those before it.
-    pub cumulative: f32,
+    pub cdf: f32,
 }
 
 /// A sampled pixel.
@@ -48,7 +48,7 @@ pub struct BrightPixel {
     /// Index in the panorama.
     pub pixel: u32,
     /// Probability, within the row, of this pixel and those before it.
-    pub cumulative: f32,
+    pub cdf: f32,
 }
 
 impl Environment {
@@ -110,10 +110,10 @@ impl Environment {
     /// number when row and pixel are chosen places the direction across the pixel.
     pub fn bright_direction<R: Real>(&self, [u, v]: [f32; 2]) -> (V3<R>, usize) {
         let BrightPixels { rows, pixels, .. } = &self.bright;
-        let (row, rest) = invert(rows.len(), |i| rows[i].cumulative, u);
+        let (row, rest) = sample_cdf(rows.len(), |i| rows[i].cdf, u);
         let first = if row > 0 { rows[row - 1].end as usize } else { 0 };
         let members = &pixels[first..rows[row].end as usize];
-        let (i, rest) = invert(members.len(), |i| members[i].cumulative, rest);
+        let (i, rest) = sample_cdf(members.len(), |i| members[i].cdf, rest);
         let pixel = members[i].pixel as usize;
         let (column, row) = (pixel % self.radiance.width, pixel / self.radiance.width);
         let per_row = PI / self.radiance.height as f64;
@@ -146,12 +146,12 @@ impl BrightPixels {
             if members.is_empty() {
                 continue;
             }
-            let member = |(&pixel, cumulative): (&usize, f32)| BrightPixel { pixel: pixel as u32, cumulative };
-            pixels.extend(members.iter().zip(cumulative(&powers)).map(member));
+            let member = |(&pixel, cdf): (&usize, f32)| BrightPixel { pixel: pixel as u32, cdf };
+            pixels.extend(members.iter().zip(cdf(&powers)).map(member));
             weights.push(powers.iter().sum());
-            rows.push(BrightRow { end: pixels.len() as u32, cumulative: 0.0 });
+            rows.push(BrightRow { end: pixels.len() as u32, cdf: 0.0 });
         }
-        rows.iter_mut().zip(cumulative(&weights)).for_each(|(row, cumulative)| row.cumulative = cumulative);
+        rows.iter_mut().zip(cdf(&weights)).for_each(|(row, cdf)| row.cdf = cdf);
         let density = |pixel: usize| if bright(&pixel) { (f64::from(luminances[pixel]) / total) as f32 } else { 0.0 };
         Self { rows, pixels, density: (0..luminances.len()).map(density).collect() }
     }

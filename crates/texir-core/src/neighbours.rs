@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use crate::surface::SurfacePoint;
 
 /// Points of one surface face the same way: the cosine between their normals is at least this.
-pub const SAME_WAY: f32 = 0.9;
+pub const MIN_NORMAL_COSINE: f32 = 0.9;
 /// How far a point may lie beside the tangent plane, as a share of the search radius.
-pub const BESIDE: f32 = 0.15;
+pub const MAX_PLANE_DISTANCE: f32 = 0.15;
 /// Columns of cells along z within one cell of another.
 pub const NEAR: usize = 9;
 /// Columns of cells along z within three cells of another, the [`NEAR`] ones first.
@@ -91,7 +91,10 @@ impl<const COLUMNS: usize> Neighbours<COLUMNS> {
             for entry in &self.entries[start as usize..end as usize] {
                 let offset = Vec3::from(entry.position) - position;
                 let near = offset.length_squared() < radius * radius;
-                if near && offset.dot(normal).abs() < BESIDE * radius && normal.dot(entry.normal.into()) > SAME_WAY {
+                if near
+                    && offset.dot(normal).abs() < MAX_PLANE_DISTANCE * radius
+                    && normal.dot(entry.normal.into()) > MIN_NORMAL_COSINE
+                {
                     found(entry.index as usize, offset);
                 }
             }
@@ -158,7 +161,7 @@ mod tests {
                 1 => ([a, 0.0, b], [0.0, 1.0, 0.0]),
                 _ => ([0.0, a, b], [1.0, 0.0, 0.0]),
             };
-            SurfacePoint { position, triangle: 0, normal, sequence: i }
+            SurfacePoint { position, triangle: 0, normal, index: i }
         };
         let points: Vec<SurfacePoint> = (0..3000).map(point).collect();
         let neighbours = Neighbours::<FAR>::new(&points, 0.1);
@@ -168,8 +171,10 @@ mod tests {
                 let [p, n] = [points[i].position, points[i].normal].map(Vec3::from);
                 let close = |j: &usize| {
                     let offset = Vec3::from(points[*j].position) - p;
-                    let beside = offset.dot(n).abs() < BESIDE * radius;
-                    offset.length_squared() < radius * radius && beside && n.dot(points[*j].normal.into()) > SAME_WAY
+                    let beside = offset.dot(n).abs() < MAX_PLANE_DISTANCE * radius;
+                    offset.length_squared() < radius * radius
+                        && beside
+                        && n.dot(points[*j].normal.into()) > MIN_NORMAL_COSINE
                 };
                 let mut all = found(&neighbours, i, radius);
                 let alike = found(&near, i, radius) == all;
@@ -186,7 +191,7 @@ mod tests {
     #[test]
     fn points_too_far_away_to_be_counted_are_points_even_so() {
         let point =
-            |x: f32, z: f32| SurfacePoint { position: [x, 0.0, z], triangle: 0, normal: [0.0, 1.0, 0.0], sequence: 0 };
+            |x: f32, z: f32| SurfacePoint { position: [x, 0.0, z], triangle: 0, normal: [0.0, 1.0, 0.0], index: 0 };
         let points = [point(0.0, 0.0), point(1e9, 1e9), point(-1e9, 1e9), point(1e9, -1e9), point(0.005, 0.0)];
         let neighbours = Neighbours::<FAR>::new(&points, 0.01);
         assert_eq!([0, 1, 2, 3].map(|i| found(&neighbours, i, 0.02)), [vec![0, 4], vec![1], vec![2], vec![3]]);

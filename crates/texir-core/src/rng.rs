@@ -74,13 +74,13 @@ pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
     [to_unit(x.wrapping_add(offset[0])), to_unit(x.wrapping_mul(GENERATOR).wrapping_add(offset[1]))]
 }
 
-/// Cells along an edge of a square that [`along_z_curve`] goes through.
-pub const Z_SIDE: u32 = 32;
+/// Cells along an edge of a square that [`scrambled_morton`] goes through.
+pub const MORTON_SIDE: u32 = 32;
 
-/// Index of a cell of a [`Z_SIDE`]² square along a Z-order (Morton) curve, Owen-scrambled by `seed`: halves come in a
+/// Index of a cell of a [`MORTON_SIDE`]² square along a Z-order (Morton) curve, Owen-scrambled by `seed`: halves come in a
 /// random order at every level, so that no pattern shows. Every aligned square of 2^k cells a side is still one run.
-pub fn along_z_curve(cell: [u32; 2], seed: u32) -> u32 {
-    const BITS: u32 = 2 * Z_SIDE.ilog2();
+pub fn scrambled_morton(cell: [u32; 2], seed: u32) -> u32 {
+    const BITS: u32 = 2 * MORTON_SIDE.ilog2();
     let [x, y] = cell.map(|v| {
         let v = (v | (v << 4)) & 0x0f0f;
         let v = (v | (v << 2)) & 0x3333;
@@ -91,7 +91,7 @@ pub fn along_z_curve(cell: [u32; 2], seed: u32) -> u32 {
 
 /// Indices of [`lattice2`] in the order in which a curve that fills the square (Hilbert 1891) meets their points: rays
 /// that are traced after or beside each other then go similar ways, and read the same parts of the scene.
-pub fn along_hilbert_curve(mut indices: Vec<u32>) -> Vec<u32> {
+pub fn sort_by_hilbert(mut indices: Vec<u32>) -> Vec<u32> {
     indices.sort_by_cached_key(|&i| hilbert(lattice2(i, [0; 2])));
     indices
 }
@@ -132,10 +132,10 @@ mod tests {
     #[test]
     fn a_z_curve_passes_every_cell_and_square_after_square() {
         for seed in [0, 5] {
-            let mut passed = vec![false; (Z_SIDE * Z_SIDE) as usize];
-            let along = |cell| along_z_curve(cell, seed);
-            for i in 0..Z_SIDE * Z_SIDE {
-                let cell = [i % Z_SIDE, i / Z_SIDE];
+            let mut passed = vec![false; (MORTON_SIDE * MORTON_SIDE) as usize];
+            let along = |cell| scrambled_morton(cell, seed);
+            for i in 0..MORTON_SIDE * MORTON_SIDE {
+                let cell = [i % MORTON_SIDE, i / MORTON_SIDE];
                 assert!(!std::mem::replace(&mut passed[along(cell) as usize], true), "{cell:?}");
                 for k in 1..5 {
                     let square = cell.map(|v| v >> k << k);
@@ -144,8 +144,8 @@ mod tests {
             }
         }
         // Squares are met in different orders, or a pattern would repeat all over a map.
-        let first = |x: u32| along_z_curve([x, 0], 5) & 3;
-        assert!((0..Z_SIDE).step_by(2).any(|x| first(x) != first(0)));
+        let first = |x: u32| scrambled_morton([x, 0], 5) & 3;
+        assert!((0..MORTON_SIDE).step_by(2).any(|x| first(x) != first(0)));
     }
 
     /// Standard deviation, over 400 seeds, of the estimated share of a disc in the unit square.

@@ -45,7 +45,7 @@ pub struct TableSampling {
     pub light: u32,
     /// The shadowing–masking term of the lobes that are tabulated.
     pub masking: Masking,
-    /// Seed of the run; a pixel draws from the sequences scrambled by `hash(seed, sequence)` of its first point.
+    /// Seed of the run; a pixel draws from the sequences scrambled by `hash(seed, index)` of its first point.
     pub seed: u32,
 }
 
@@ -175,7 +175,7 @@ mod tests {
 
     /// What a pixel sees of a lobe that passes a lamp: the GGX distribution at a fixed half-vector.
     fn lobe(nh: f32) -> impl Fn(f32) -> f32 {
-        move |r| crate::brdf::distribution(nh, r)
+        move |r| crate::brdf::ndf(nh, r)
     }
 
     #[test]

@@ -87,13 +87,13 @@ pub struct SurfacePoint {
     pub triangle: u32,
     /// Unit shading normal.
     pub normal: [f32; 3],
-    /// Index of the point's sample sequence: the texel's index in its atlas, so that a subset draws the same samples.
-    pub sequence: u32,
+    /// Index of the point: the texel's in its atlas. It chooses the point's samples, so that a subset draws the same.
+    pub index: u32,
 }
 
 impl SurfacePoint {
     /// The point of a hit. With `towards` (a unit direction), both normals are flipped to its side, so that a surface
-    /// seen from behind is shaded on the side that is seen. Its sequence is 0.
+    /// seen from behind is shaded on the side that is seen. Its index is 0.
     pub fn new(mesh: &Mesh, hit: &Hit, towards: Option<Vec3>) -> Self {
         let (mut face, mut normal) = hit.front(mesh);
         if towards.is_some_and(|d| face.dot(d) < 0.0) {
@@ -101,7 +101,7 @@ impl SurfacePoint {
             normal = -normal;
         }
         let position = offset_origin(hit.interpolate(mesh.corners(hit.triangle)), face);
-        Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), sequence: 0 }
+        Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), index: 0 }
     }
 
     /// The same place of the surface from its other side.

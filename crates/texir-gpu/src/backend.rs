@@ -26,7 +26,7 @@ use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
     specular_table, texels,
 };
-use crate::scene::{Geometry, HierarchyStorage, Lighting, Sky};
+use crate::scene::{BvhStorage, Geometry, Lighting, Sky};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend {
@@ -42,13 +42,13 @@ impl GpuBackend {
     /// Uploads the scene, which others may share. The device's queue is used from the calling thread, and only during
     /// calls.
     pub fn new(gpu: &Gpu, scene: impl Into<Arc<Scene>>) -> Result<Self> {
-        Self::with_hierarchy(gpu, scene, HierarchyStorage::best(gpu))
+        Self::with_bvh_storage(gpu, scene, BvhStorage::best(gpu))
     }
 
     /// [`GpuBackend::new`] with a choice that changes speed only, where the device takes it:
-    /// [`HierarchyStorage::Textures`] is for software drivers, as a GPU may take small numbers read from a texture for
+    /// [`BvhStorage::Textures`] is for software drivers, as a GPU may take small numbers read from a texture for
     /// 0, and rays then go wrong.
-    pub fn with_hierarchy(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: HierarchyStorage) -> Result<Self> {
+    pub fn with_bvh_storage(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: BvhStorage) -> Result<Self> {
         let scene = scene.into();
         let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);

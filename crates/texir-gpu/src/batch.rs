@@ -15,7 +15,7 @@ use crate::buffer::{Pool, View, uniform};
 use crate::gpu::Gpu;
 use crate::kernel::{Kernel, Spec};
 use crate::pass::WORKGROUP;
-use crate::scene::HierarchyStorage;
+use crate::scene::BvhStorage;
 use crate::wgsl::Variant;
 
 /// How long a dispatch should take.
@@ -97,12 +97,12 @@ impl Pace {
 pub(crate) struct Context {
     pub gpu: Gpu,
     pub pool: Pool,
-    hierarchy: HierarchyStorage,
+    hierarchy: BvhStorage,
     paces: HashMap<Spec, Pace>,
 }
 
 impl Context {
-    pub fn new(gpu: Gpu, hierarchy: HierarchyStorage) -> Self {
+    pub fn new(gpu: Gpu, hierarchy: BvhStorage) -> Self {
         Self { gpu, hierarchy, pool: Pool::default(), paces: HashMap::new() }
     }
 

@@ -14,7 +14,7 @@ pub struct Gpu {
     device: wgpu::Device,
     queue: wgpu::Queue,
     info: Arc<wgpu::AdapterInfo>,
-    passed_over: Arc<[String]>,
+    rejected_adapters: Arc<[String]>,
     kernels: Arc<Mutex<Kernels>>,
 }
 
@@ -94,8 +94,8 @@ impl Gpu {
         for chosen in &adapters {
             match Self::on(chosen) {
                 Ok(gpu) => {
-                    let passed_over = failures.iter().map(Error::to_string).collect();
-                    return Ok(Self { passed_over, ..gpu });
+                    let rejected_adapters = failures.iter().map(Error::to_string).collect();
+                    return Ok(Self { rejected_adapters, ..gpu });
                 }
                 Err(error) => failures.push(error),
             }
@@ -121,7 +121,7 @@ impl Gpu {
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
         match missing(&device.limits()) {
-            None => Ok(Self { device, queue, info, passed_over: Arc::default(), kernels: Arc::default() }),
+            None => Ok(Self { device, queue, info, rejected_adapters: Arc::default(), kernels: Arc::default() }),
             Some(what) => Err(Error::device(format!(
                 "the device of {:?} is too small: {what}; ask for texir_gpu::required_limits when it is made",
                 info.name
@@ -151,12 +151,12 @@ impl Gpu {
     }
 
     /// Why [`Gpu::headless`] did not take the adapters that it prefers to this one.
-    pub fn passed_over(&self) -> &[String] {
-        &self.passed_over
+    pub fn rejected_adapters(&self) -> &[String] {
+        &self.rejected_adapters
     }
 
     /// Whether a processor plays the GPU, where other choices are faster.
-    pub fn is_cpu(&self) -> bool {
+    pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 

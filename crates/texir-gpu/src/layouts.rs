@@ -7,9 +7,9 @@ use texir_core::backend::{Gathered, Projected, RoughnessGradient};
 use texir_core::brdf::DIELECTRIC_F0;
 use texir_core::environment::{BrightPixel, BrightRow};
 use texir_core::neighbours::{Entry, FAR, NEAR};
-use texir_core::rng::Z_SIDE;
-use texir_core::scene::MOST_LEVELS;
-use texir_core::scene::trace::BEHIND;
+use texir_core::rng::MORTON_SIDE;
+use texir_core::scene::MAX_LEVELS;
+use texir_core::scene::trace::BACK_FACE_BIAS;
 use texir_core::specular_table::{LOBES, NODES, STRATA};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
@@ -30,7 +30,7 @@ use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::pass::{WORKGROUP, specular_table};
-use crate::scene::{HierarchyStorage, LightGrid, LightPrimitive, TEXTURE_COLUMNS};
+use crate::scene::{BvhStorage, LightGrid, LightPrimitive, TEXTURE_COLUMNS};
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -51,7 +51,7 @@ macro_rules! host {
 
 /// The declaration of `name` in the composed shader.
 fn wgsl(shader: &str, name: &str) -> Layout {
-    let variant = Variant { hierarchy: HierarchyStorage::Buffers, roughness: RoughnessGradient::Exact };
+    let variant = Variant { hierarchy: BvhStorage::Buffers, roughness: RoughnessGradient::Exact };
     let module = SHADERS.compose(shader, variant).unwrap().module;
     let (_, ty) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
@@ -64,15 +64,15 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
     vec![
         ("primary", "Hit", host!(Hit { triangle, u, v, t })),
         ("texels", "Hit", host!(Hit { triangle, u, v, t })),
-        ("project", "SurfacePoint", host!(SurfacePoint { position, triangle, normal, sequence })),
-        ("irradiance", "SurfacePoint", host!(SurfacePoint { position, triangle, normal, sequence })),
+        ("project", "SurfacePoint", host!(SurfacePoint { position, triangle, normal, index })),
+        ("irradiance", "SurfacePoint", host!(SurfacePoint { position, triangle, normal, index })),
         ("project", "Projected", host!(Projected { pixel, cosine, distance })),
-        ("shade", "ShadePoint", host!(ShadePoint { position, sequence, normal, view, irradiance })),
-        ("specular_table", "ShadePoint", host!(ShadePoint { position, sequence, normal, view, irradiance })),
+        ("shade", "ShadePoint", host!(ShadePoint { position, index, normal, view, irradiance })),
+        ("specular_table", "ShadePoint", host!(ShadePoint { position, index, normal, view, irradiance })),
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
-        ("shade", "Shaded", host!(Shaded { radiance, specular_scale, d_roughness })),
+        ("shade", "Shaded", host!(Shaded { radiance, specular_scale, roughness_jacobian })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
-        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, cluster, cumulative, per_area })),
+        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, cluster, cdf, pdf_area })),
         (
             "irradiance",
             "LightGrid",
@@ -93,14 +93,14 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
                 radius,
                 guide_radius,
                 noise_radius,
-                miss_radius,
+                residual_radius,
                 tolerance,
                 curvature,
-                chance,
-                significant,
+                residual_threshold,
+                loss_sigmas,
                 ridge,
-                same_way,
-                beside,
+                min_normal_cosine,
+                max_plane_distance,
                 tiny
             }),
         ),
@@ -137,8 +137,8 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
                 channels,
             }),
         ),
-        ("irradiance", "BrightRow", host!(BrightRow { end, cumulative })),
-        ("irradiance", "BrightPixel", host!(BrightPixel { pixel, cumulative })),
+        ("irradiance", "BrightRow", host!(BrightRow { end, cdf })),
+        ("irradiance", "BrightPixel", host!(BrightPixel { pixel, cdf })),
         ("primary", "PrimaryParams", host!(PrimaryParams { first, count })),
         ("project", "ProjectParams", host!(ProjectParams { count, clear_share })),
         (
@@ -235,10 +235,10 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
     vec![
         ("primary", "TEXTURE_COLUMNS", TEXTURE_COLUMNS.into()),
         ("primary", "WORKGROUP", WORKGROUP as f64),
-        ("primary", "STACK_SIZE", (MOST_LEVELS + 1) as f64),
-        ("primary", "BEHIND", BEHIND),
+        ("primary", "STACK_SIZE", (MAX_LEVELS + 1) as f64),
+        ("primary", "BACK_FACE_BIAS", BACK_FACE_BIAS),
         ("shade", "DIELECTRIC_F0", DIELECTRIC_F0),
-        ("irradiance", "Z_SIDE", Z_SIDE.into()),
+        ("irradiance", "MORTON_SIDE", MORTON_SIDE.into()),
         ("group_loss", "THREADS", THREADS.into()),
         ("denoise", "NEAR_COLUMNS", NEAR as f64),
         ("denoise", "COLUMNS", FAR as f64),
@@ -261,7 +261,7 @@ fn constant(module: &naga::Module, name: &str) -> Option<f64> {
 
 #[test]
 fn constants_that_both_have_are_the_same() {
-    let variant = Variant { hierarchy: HierarchyStorage::Textures, roughness: RoughnessGradient::Exact };
+    let variant = Variant { hierarchy: BvhStorage::Textures, roughness: RoughnessGradient::Exact };
     for (shader, name, host) in constants() {
         let module = SHADERS.compose(shader, variant).unwrap().module;
         assert_eq!(constant(&module, name).map(|value| value as f32), Some(host as f32), "{name} of {shader}.wgsl");

@@ -25,5 +25,5 @@ mod wgsl;
 pub use backend::GpuBackend;
 pub use batch::GatherShape;
 pub use gpu::{Gpu, required_features, required_limits};
-pub use scene::HierarchyStorage;
+pub use scene::BvhStorage;
 pub use wgpu;

@@ -18,20 +18,20 @@ const TEXTURE_PIECE: usize = 32 << 20;
 
 /// Where the hierarchy lies on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum HierarchyStorage {
+pub enum BvhStorage {
     /// In storage buffers: for GPUs.
     Buffers,
     /// In float storage textures, whose fetches are faster on software drivers.
     Textures,
 }
 
-impl HierarchyStorage {
+impl BvhStorage {
     /// The faster one for a device.
     pub fn best(gpu: &Gpu) -> Self {
         // Other APIs' software drivers are not measured, and need not keep the bits of small numbers in float textures.
         let vulkan = gpu.info().backend == wgpu::Backend::Vulkan;
         let wide = gpu.device().limits().max_texture_dimension_2d >= TEXTURE_COLUMNS;
-        if gpu.is_cpu() && vulkan && wide { Self::Textures } else { Self::Buffers }
+        if gpu.is_software() && vulkan && wide { Self::Textures } else { Self::Buffers }
     }
 }
 
@@ -42,8 +42,8 @@ enum Words {
 }
 
 impl Words {
-    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: HierarchyStorage) -> Result<Self> {
-        if place == HierarchyStorage::Buffers {
+    fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: BvhStorage) -> Result<Self> {
+        if place == BvhStorage::Buffers {
             return Ok(Self::Buffer(keep(gpu, name, words)?));
         }
         let mut padded;
@@ -80,7 +80,7 @@ pub(crate) struct Geometry {
 }
 
 impl Geometry {
-    pub fn new(gpu: &Gpu, scene: &Scene, place: HierarchyStorage) -> Result<Self> {
+    pub fn new(gpu: &Gpu, scene: &Scene, place: BvhStorage) -> Result<Self> {
         let (mesh, order) = (scene.mesh(), scene.primitives());
         let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
         let mut triangles = Vec::with_capacity(4 * order.len());
@@ -146,8 +146,8 @@ impl Sky {
 pub(crate) struct LightPrimitive {
     pub primitive: u32,
     pub cluster: u32,
-    pub cumulative: f32,
-    pub per_area: f32,
+    pub cdf: f32,
+    pub pdf_area: f32,
 }
 
 /// As `shared/light_sampling.wgsl` has it.
@@ -187,10 +187,10 @@ impl Lighting {
         // What is no light has number 0, and so the first of them.
         let mut primitives = vec![LightPrimitive::zeroed()];
         primitives.extend(lights.triangles.iter().map(|light| {
-            let LightTriangle { triangle, cluster, cumulative, per_area } = *light;
-            LightPrimitive { primitive: primitive_of[triangle as usize], cluster, cumulative, per_area }
+            let LightTriangle { triangle, cluster, cdf, pdf_area } = *light;
+            LightPrimitive { primitive: primitive_of[triangle as usize], cluster, cdf, pdf_area }
         }));
-        let mut index: Vec<u32> = order.iter().map(|&t| lights.numbers[t as usize]).collect();
+        let mut index: Vec<u32> = order.iter().map(|&t| lights.light_of_triangle[t as usize]).collect();
         index.extend(&lights.grid.tables);
         index.extend(lights.clusters.iter().map(|first| 1 + first));
         let clusters = lights.clusters.len() - 1;

@@ -10,7 +10,7 @@ use std::path::Path;
 use texir_core::backend::RoughnessGradient;
 use texir_core::error::{Error, Result};
 
-use crate::scene::HierarchyStorage;
+use crate::scene::BvhStorage;
 
 /// Sources by name, as files on disk are: `shade`, or `shared/bvh`.
 #[derive(Clone, Copy)]
@@ -23,7 +23,7 @@ pub const SHADERS: Library<'static> = Library(texir_shaders::SOURCES);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
     /// `fetch`: where the hierarchy lies.
-    pub hierarchy: HierarchyStorage,
+    pub hierarchy: BvhStorage,
     /// `roughness`: which derivative with respect to roughness shading returns.
     pub roughness: RoughnessGradient,
 }
@@ -32,7 +32,7 @@ impl Variant {
     /// Every variant.
     #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Self> {
-        [HierarchyStorage::Buffers, HierarchyStorage::Textures].into_iter().flat_map(|hierarchy| {
+        [BvhStorage::Buffers, BvhStorage::Textures].into_iter().flat_map(|hierarchy| {
             [RoughnessGradient::Exact, RoughnessGradient::Authors].map(|roughness| Self { hierarchy, roughness })
         })
     }
@@ -40,8 +40,8 @@ impl Variant {
     /// The module behind an imported name.
     fn module<'n>(&self, name: &'n str) -> &'n str {
         match (name, self.hierarchy, self.roughness) {
-            ("fetch", HierarchyStorage::Textures, _) => "fetch_texture",
-            ("fetch", HierarchyStorage::Buffers, _) => "fetch_buffer",
+            ("fetch", BvhStorage::Textures, _) => "fetch_texture",
+            ("fetch", BvhStorage::Buffers, _) => "fetch_buffer",
             ("roughness", _, RoughnessGradient::Exact) => "roughness_exact",
             ("roughness", _, RoughnessGradient::Authors) => "roughness_authors",
             _ => name,

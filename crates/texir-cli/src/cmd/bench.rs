@@ -157,7 +157,7 @@ fn rays_per_second(backend: &mut dyn Backend) -> Result<f64, Failure> {
     let point = |i: u32| {
         let triangle = hash(i) % mesh.triangles.len() as u32;
         let [u, v] = sobol2(i, 1).map(|x| x / 2.0);
-        SurfacePoint { sequence: i, ..SurfacePoint::new(mesh, &Hit { triangle, u, v, t: 0.0 }, None) }
+        SurfacePoint { index: i, ..SurfacePoint::new(mesh, &Hit { triangle, u, v, t: 0.0 }, None) }
     };
     let mut count = POINTS;
     loop {

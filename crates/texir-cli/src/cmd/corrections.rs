@@ -40,7 +40,7 @@ impl CorrectionArgs {
             let scales = exposure::solve(backend.as_mut(), &views(&training), session.console)?;
             let differ = exposure::difference(scales.iter().map(|scale| scale.map(f32::ln)));
             let how = format!("exposures differ by {:.1} %, root mean square", 100.0 * differ.exp_m1());
-            if differ < exposure::ALIKE {
+            if differ < exposure::MIN_DIFFERENCE {
                 session.console.note(&format!(
                     "{how}: no more than reflections make of equal ones, so the views stay as they are"
                 ));

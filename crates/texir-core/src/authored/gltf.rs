@@ -2,7 +2,7 @@
 //! emission (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
 //! Base colour is the albedo, also of metals, whose reflection is treated as diffuse; on request so is the specular
-//! reflection of dielectrics ([`Reflected`]). Alpha, vertex colours, skins and morph targets are ignored, with a warning.
+//! reflection of dielectrics ([`BounceAlbedo`]). Alpha, vertex colours, skins and morph targets are ignored, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::FRAC_PI_2;
@@ -77,11 +77,11 @@ impl Part {
 
 /// Which reflections the bounces carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reflected {
+pub enum BounceAlbedo {
     /// Base colour alone: surfaces are Lambertian.
-    Diffusely,
+    Diffuse,
     /// Base colour plus the [`specular_albedo`] of dielectrics, as if that were diffuse.
-    InAll,
+    DiffuseAndSpecular,
 }
 
 /// What a material emits and reflects.
@@ -116,7 +116,12 @@ pub struct Model {
 ///
 /// Its coordinates are TEXCOORD_1 where that gives every surface a place of its own, otherwise TEXCOORD_0 where that
 /// does; otherwise the scene is unwrapped, into a map of `size` columns and at most as many rows.
-pub fn read_gltf(path: impl AsRef<Path>, size: usize, reflected: Reflected, progress: &dyn Progress) -> Result<Model> {
+pub fn read_gltf(
+    path: impl AsRef<Path>,
+    size: usize,
+    reflected: BounceAlbedo,
+    progress: &dyn Progress,
+) -> Result<Model> {
     let path = path.as_ref();
     let Contents { document, buffers } = geometry::load(path)?;
     geometry::left_out(path, &document).iter().for_each(|warning| progress.warn(warning));
@@ -199,7 +204,7 @@ impl Model {
         for rows in bands(width, height, BAND.max(least)) {
             let hits = backend.texels([columns, LOOKUPS * height], LOOKUPS * rows.start..LOOKUPS * rows.end)?;
             let texel = |point: &SurfacePoint| {
-                let (x, y) = (point.sequence as usize % width, point.sequence as usize / width - rows.start);
+                let (x, y) = (point.index as usize % width, point.index as usize / width - rows.start);
                 let points =
                     (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
                 let found: Vec<&TexelHit> = points.filter_map(|i| hits[i].as_ref()).collect();
@@ -212,7 +217,7 @@ impl Model {
             let points = texels.points_in(rows.clone())?;
             let values: Vec<[[f32; 3]; 2]> = points.par_iter().map(texel).collect();
             for (point, value) in points.iter().zip(values) {
-                let i = point.sequence as usize;
+                let i = point.index as usize;
                 [albedo.data[i], emission.data[i]] = value;
                 filled[i] = true;
             }
@@ -362,7 +367,7 @@ impl Part {
 fn shading(
     path: &Path,
     document: &Document,
-    reflected: Reflected,
+    reflected: BounceAlbedo,
     mut place: impl FnMut(&gltf::Image, TransferCurve) -> Result<usize>,
 ) -> Result<Vec<Shading>> {
     let mut colour = |factor: Vec3, info: Option<gltf::texture::Info>, curve: TransferCurve| {
@@ -392,8 +397,10 @@ fn shading(
             albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
             emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
             finish: match reflected {
-                Reflected::InAll => Some(colour(finish, base.metallic_roughness_texture(), TransferCurve::Linear)?),
-                Reflected::Diffusely => None,
+                BounceAlbedo::DiffuseAndSpecular => {
+                    Some(colour(finish, base.metallic_roughness_texture(), TransferCurve::Linear)?)
+                }
+                BounceAlbedo::Diffuse => None,
             },
             double_sided: material.double_sided(),
         })

@@ -36,12 +36,12 @@ mod unlit;
 #[cfg(feature = "files")]
 pub use self::export::write_lightmapped_glb;
 #[cfg(feature = "files")]
-pub use self::gltf::{Model, Reflected, read_gltf};
+pub use self::gltf::{BounceAlbedo, Model, read_gltf};
 pub use self::series::Remainder;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
 pub use self::unlit::unlit;
-use crate::backend::BRIGHTEST;
+use crate::backend::MAX_RADIANCE;
 use crate::bake::{self, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
@@ -90,11 +90,13 @@ impl Surfaces {
         if !channel(&self.albedo, |v| (0.0..=1.0).contains(v)) {
             return Err(Error::invalid("the albedo map leaves [0, 1]; expected linear reflectances"));
         }
-        if !channel(&self.emission, |v| (0.0..=BRIGHTEST).contains(v)) {
-            return Err(Error::invalid(format!("the emission map leaves [0, {BRIGHTEST:e}]; expected radiance")));
+        if !channel(&self.emission, |v| (0.0..=MAX_RADIANCE).contains(v)) {
+            return Err(Error::invalid(format!("the emission map leaves [0, {MAX_RADIANCE:e}]; expected radiance")));
         }
-        if self.environment.as_ref().is_some_and(|sky| !channel(sky.radiance(), |v| *v <= BRIGHTEST)) {
-            return Err(Error::invalid(format!("the environment is brighter than {BRIGHTEST:e}; expected radiance")));
+        if self.environment.as_ref().is_some_and(|sky| !channel(sky.radiance(), |v| *v <= MAX_RADIANCE)) {
+            return Err(Error::invalid(format!(
+                "the environment is brighter than {MAX_RADIANCE:e}; expected radiance"
+            )));
         }
         self.lights.iter().try_for_each(PunctualLight::check)
     }

@@ -119,14 +119,14 @@ impl Lit {
 /// The surface at a place within a point's texel, the texel's corner at 0 and the next one's at 1; `None` beyond the
 /// point's triangle.
 fn moved(mesh: &Mesh, [width, height]: [usize; 2], point: &SurfacePoint, within: Vec2) -> Option<SurfacePoint> {
-    let (column, row) = (point.sequence as usize % width, point.sequence as usize / width);
+    let (column, row) = (point.index as usize % width, point.index as usize / width);
     let place = Vec2::new(column as f32, row as f32) + within;
     let [a, b, c] = mesh.corner_uvs(point.triangle).map(|uv| uv * Vec2::new(width as f32, height as f32));
     // Of a triangle without area these are no numbers, and none of them lies in it.
     let at = Mat2::from_cols(b - a, c - a).inverse() * (place - a);
     let hit = Hit { triangle: point.triangle, u: at.x, v: at.y, t: 0.0 };
     let inside = at.min_element() >= 0.0 && at.element_sum() <= 1.0;
-    inside.then(|| SurfacePoint { sequence: point.sequence, ..SurfacePoint::new(mesh, &hit, None) })
+    inside.then(|| SurfacePoint { index: point.index, ..SurfacePoint::new(mesh, &hit, None) })
 }
 
 /// Whether nothing stands between two points.
@@ -174,7 +174,7 @@ mod tests {
         let found = irradiance(&mut backend, SIZE, &points, &[light], places, &Silent).unwrap();
         let mut columns = vec![vec![0.0; SIZE[1]]; SIZE[0]];
         for (point, e) in points.iter().zip(found) {
-            columns[point.sequence as usize % SIZE[0]][point.sequence as usize / SIZE[0]] = e[0];
+            columns[point.index as usize % SIZE[0]][point.index as usize / SIZE[0]] = e[0];
         }
         columns.truncate(SIZE[0] / 2);
         columns

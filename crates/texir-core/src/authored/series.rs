@@ -23,16 +23,16 @@ const SLOWEST: f64 = 0.99;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Remainder {
     /// Of all light; infinite where that cannot be told.
-    pub of_all: f64,
+    pub total: f64,
     /// Fraction of the local light in the worst square of the map, the worst 1 % of squares excluded.
-    pub of_a_part: f64,
+    pub worst_region: f64,
 }
 
 impl Remainder {
     /// Whether it is below a tolerance ([`Bounces::tolerance`](super::Bounces::tolerance)).
     pub fn is_within(&self, tolerance: f32) -> bool {
         let tolerance = f64::from(tolerance);
-        self.of_all <= tolerance && self.of_a_part <= SLACK * tolerance
+        self.total <= tolerance && self.worst_region <= SLACK * tolerance
     }
 }
 
@@ -58,13 +58,13 @@ impl Series {
 
     /// What further members would add if the series goes on like its last ones, geometrically.
     pub fn remainder(&self) -> Remainder {
-        Remainder { of_all: self.of_all(), of_a_part: self.of_a_part() }
+        Remainder { total: self.total(), worst_region: self.worst_region() }
     }
 
     /// Light that goes back and forth between dark and bright surfaces falls by much and by little in turn: with the
     /// last two ratios *b* and *a* in turn, ρ = b, further members add b + b a + b a b + … = b (1 + a)/(1 − a b) of the
     /// last.
-    fn of_all(&self) -> f64 {
+    fn total(&self) -> f64 {
         let sum: f64 = self.means.iter().sum();
         let (b, a, last) = match self.means[..] {
             [.., 0.0] => return 0.0,
@@ -79,7 +79,7 @@ impl Series {
         left_out / (sum + left_out)
     }
 
-    fn of_a_part(&self) -> f64 {
+    fn worst_region(&self) -> f64 {
         let of_square = |(before, last): (&Option<f64>, &Option<f64>)| {
             let (before, last) = ((*before)?, (*last)?);
             let ratio = (last / before.max(f64::MIN_POSITIVE)).min(SLOWEST);
@@ -109,19 +109,19 @@ mod tests {
 
     #[test]
     fn what_is_left_out_is_a_share_of_all_light() {
-        let of_all = |means: &[f64]| series(means, &[], &[]).remainder().of_all;
+        let total = |means: &[f64]| series(means, &[], &[]).remainder().total;
         // Halves of halves come to 2.
-        assert_eq!(of_all(&[1.0, 0.5]), 0.25);
-        assert_eq!(of_all(&[1.0, 0.5, 0.25]), 0.125);
-        assert_eq!(of_all(&[1.0, 0.0]), 0.0);
-        assert!(of_all(&[1.0]).is_infinite() && of_all(&[1.0, 1.0]).is_infinite());
+        assert_eq!(total(&[1.0, 0.5]), 0.25);
+        assert_eq!(total(&[1.0, 0.5, 0.25]), 0.125);
+        assert_eq!(total(&[1.0, 0.0]), 0.0);
+        assert!(total(&[1.0]).is_infinite() && total(&[1.0, 1.0]).is_infinite());
         // A white floor (.8) below a dark ceiling (.1): each bounce brings a tenth of the one before, or eight.
         let series = [1.0, 0.8, 0.08, 0.064, 0.0064];
         let left = |k: usize| {
             let all = 1.8 / (1.0 - 0.08);
             1.0 - series[..=k].iter().sum::<f64>() / all
         };
-        assert!((2..5).all(|k| (of_all(&series[..=k]) - left(k)).abs() < 1e-9));
+        assert!((2..5).all(|k| (total(&series[..=k]) - left(k)).abs() < 1e-9));
     }
 
     #[test]
@@ -131,7 +131,7 @@ mod tests {
         let beside = |before: f64, last: f64| series(&means, &[Some(1.0), Some(before)], &[Some(1e-4), Some(last)]);
         let early = beside(0.5, 0.4);
         let left = early.remainder();
-        assert!(left.of_all < 1e-3 && (left.of_a_part - 1.6).abs() < 1e-9 && !left.is_within(5e-3), "{left:?}");
+        assert!(left.total < 1e-3 && (left.worst_region - 1.6).abs() < 1e-9 && !left.is_within(5e-3), "{left:?}");
         assert_eq!(early.share(), 0.1);
         assert!(beside(5e-3, 4e-3).remainder().is_within(5e-3));
         // What noise lets grow is not endless, and squares of few texels have no say.

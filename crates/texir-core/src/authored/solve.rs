@@ -7,7 +7,7 @@ use std::ops::Range;
 use super::series::{Remainder, Series};
 use super::{Surfaces, punctual};
 use crate::atlas::{BAND, bands};
-use crate::backend::{BRIGHTEST, Backend, Gather};
+use crate::backend::{Backend, Gather, MAX_RADIANCE};
 use crate::bake::{self, Quality, Solution, Texels};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
@@ -78,9 +78,9 @@ pub fn irradiance(
     let mut total = last.copy(texels)?;
     let mut series = Series::default();
     series.push(texels, &last, &total)?;
-    if !(series.means[0] <= f64::from(BRIGHTEST)) {
+    if !(series.means[0] <= f64::from(MAX_RADIANCE)) {
         return Err(Error::invalid(format!(
-            "the scene's light is too strong: {:e} on average; expected irradiance below {BRIGHTEST:e}",
+            "the scene's light is too strong: {:e} on average; expected irradiance below {MAX_RADIANCE:e}",
             series.means[0]
         )));
     }

@@ -8,7 +8,7 @@ use glam::{Mat4, Vec3};
 use gltf::binary::Glb;
 use serde_json::{Value, json};
 
-use super::{Bounces, Reflected, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
+use super::{BounceAlbedo, Bounces, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
 use crate::backend::{Backend, Gather};
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
@@ -84,7 +84,7 @@ struct Written(Value, Vec<u8>);
 impl Written {
     /// What a scene becomes, with a lightmap inside or not.
     fn of(source: &Path, attached: bool) -> Self {
-        let model = read_gltf(source, 64, Reflected::Diffusely, &Silent).unwrap();
+        let model = read_gltf(source, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
         let irradiance = Rgb::filled(4, 4, [1.0; 3]);
         let path = source.with_file_name("baked.glb");
         write_lightmapped_glb(&path, source, &model, attached.then_some(&irradiance)).unwrap();
@@ -129,7 +129,7 @@ fn png() -> String {
 
 /// What a scene's surfaces are per texel of a map of `size` columns.
 fn surfaces_of(source: &Path, size: usize) -> Surfaces {
-    let model = read_gltf(source, size, Reflected::Diffusely, &Silent).unwrap();
+    let model = read_gltf(source, size, BounceAlbedo::Diffuse, &Silent).unwrap();
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     model.surfaces(&mut backend, &texels, None).unwrap()
@@ -250,7 +250,7 @@ fn primitives_without_a_material_carry_the_lightmap_as_well() {
     let materials = json["materials"].as_array().unwrap();
     assert!(materials.iter().all(|material| material["extensions"]["MOZ_lightmap"]["texCoord"] == 1), "{materials:?}");
     // White, as the default that the surfaces were baked with.
-    let white = read_gltf(source.with_file_name("baked.glb"), 64, Reflected::Diffusely, &Silent).unwrap();
+    let white = read_gltf(source.with_file_name("baked.glb"), 64, BounceAlbedo::Diffuse, &Silent).unwrap();
     assert_eq!(white.parts[1].material, Some(1));
     let factor = &materials[1]["pbrMetallicRoughness"]["baseColorFactor"];
     assert!(factor.as_array().is_none_or(|factor| factor.iter().all(|v| v == 1.0)), "{factor}");
@@ -321,7 +321,7 @@ fn over() -> Mat4 {
 /// What users are told of a scene after at most so many bounces, which were asked for or not: of bounces, and of light
 /// that does not arrive.
 fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
-    let model = read_gltf(source, 32, Reflected::Diffusely, &Silent).unwrap();
+    let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
@@ -368,7 +368,7 @@ fn extensions_that_matter_are_told_and_others_are_not() {
     let read = |used: &[&str], required: &[&str]| {
         let more = json!({ "extensionsUsed": used, "extensionsRequired": required });
         let (source, told) = (write_squares(folder.path(), &[(&[set(1.0, 0.0)], None)], more), Warnings::default());
-        let error = read_gltf(source, 16, Reflected::Diffusely, &told).err().map(|e| e.to_string());
+        let error = read_gltf(source, 16, BounceAlbedo::Diffuse, &told).err().map(|e| e.to_string());
         (told.all(), error)
     };
     let harmless = ["KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_ior", "KHR_materials_clearcoat"];
@@ -408,7 +408,7 @@ fn primitives_that_lack_their_textures_coordinates_are_told() {
         });
         let (source, told) =
             (write_squares(folder.path(), &[(sets, Some(0)), (sets, None)], more), Warnings::default());
-        read_gltf(source, 16, Reflected::Diffusely, &told).unwrap();
+        read_gltf(source, 16, BounceAlbedo::Diffuse, &told).unwrap();
         let of_textures = |told: &String| told.contains("textures");
         told.all().into_iter().filter(of_textures).collect::<Vec<_>>()
     };
@@ -473,7 +473,7 @@ fn no_light_comes_through_a_sheet() {
         let roof = Mat4::from_translation(4.0 * Vec3::Y) * roof;
         let scene =
             write_lit(folder.path(), &[(0, Mat4::IDENTITY), (1, roof)], Vec3::new(0.5, 2.0, 0.5), vec![None; 2]);
-        let model = read_gltf(scene, 64, Reflected::Diffusely, &Silent).unwrap();
+        let model = read_gltf(scene, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
         let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
         let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
         let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
@@ -523,7 +523,7 @@ fn coordinates_for_a_lightmap_that_are_not_taken_are_told() {
     let read = |squares: &[(&[Uvs], Option<usize>)]| {
         let told = Warnings::default();
         let source = write_squares(folder.path(), squares, json!({}));
-        let model = read_gltf(source, 32, Reflected::Diffusely, &told).unwrap();
+        let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &told).unwrap();
         (told.all(), model.lightmap_set)
     };
     let (left, right, flat) = (set(0.4, 0.0), set(0.4, 0.5), [[0.5; 2]; 4]);
@@ -546,7 +546,7 @@ fn coordinates_for_a_lightmap_that_are_not_taken_are_told() {
 fn normals_against_the_front_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let source = write_squares(folder.path(), &[(&[set(1.0, 0.0)], None)], json!({}));
-    let mut model = read_gltf(source, 16, Reflected::Diffusely, &Silent).unwrap();
+    let mut model = read_gltf(source, 16, BounceAlbedo::Diffuse, &Silent).unwrap();
     assert_eq!(model.turned_away(), None);
     model.mesh.normals.iter_mut().for_each(|normal| *normal = -*normal);
     let told = model.turned_away().unwrap();
@@ -596,7 +596,7 @@ fn spots_without_a_cone_are_refused() {
         document["extensions"]["KHR_lights_punctual"]["lights"][0] =
             json!({ "type": "spot", "spot": { "innerConeAngle": inner, "outerConeAngle": outer } });
         std::fs::write(&scene, document.to_string()).unwrap();
-        read_gltf(&scene, 16, Reflected::Diffusely, &Silent).map(drop).map_err(|e| e.to_string())
+        read_gltf(&scene, 16, BounceAlbedo::Diffuse, &Silent).map(drop).map_err(|e| e.to_string())
     };
     for (inner, outer) in [(0.75, 0.5), (0.5, 2.0), (-0.5, 0.5)] {
         let error = read(inner, outer).unwrap_err();
@@ -618,7 +618,7 @@ fn surfaces_that_reflect_more_than_all_light_are_refused() {
     let read = |v: f32| {
         let colour = json!({ "name": "wall", "pbrMetallicRoughness": { "baseColorFactor": [0.5, v, 0.5, 1.0] } });
         let scene = write_squares(folder.path(), &[(&[], Some(0))], json!({ "materials": [colour] }));
-        read_gltf(&scene, 16, Reflected::Diffusely, &Silent).map(drop).map_err(|e| e.to_string())
+        read_gltf(&scene, 16, BounceAlbedo::Diffuse, &Silent).map(drop).map_err(|e| e.to_string())
     };
     for v in [1.5, -0.1] {
         let error = read(v).unwrap_err();
@@ -633,7 +633,7 @@ fn surfaces_that_reflect_more_than_all_light_are_refused() {
 fn surfaces_that_no_scene_has_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let surfaces = surfaces_of(&write_squares(folder.path(), &[(&[], None)], json!({})), 16);
-    let scene = read_gltf(folder.path().join("scene.gltf"), 16, Reflected::Diffusely, &Silent).unwrap();
+    let scene = read_gltf(folder.path().join("scene.gltf"), 16, BounceAlbedo::Diffuse, &Silent).unwrap();
     let mut backend = CpuBackend::new(Scene::new(scene.mesh).unwrap());
     let texels = Texels::map(&mut backend, [16; 2], Workspace::Memory, &Silent).unwrap();
     let said = |change: &dyn Fn(&mut Surfaces)| {
@@ -673,11 +673,11 @@ fn lightmaps_without_room_for_a_chart_are_refused_before_unwrapping() {
     let scene = write_squares(folder.path(), &[(&[], None)], json!({}));
     let progress = crate::progress::Silent;
     for size in [1, 4] {
-        let error = read_gltf(&scene, size, Reflected::Diffusely, &progress).map(drop).unwrap_err().to_string();
+        let error = read_gltf(&scene, size, BounceAlbedo::Diffuse, &progress).map(drop).unwrap_err().to_string();
         assert!(error.contains(&format!("{size}×{size} texels; expected at least 5")), "{error}");
     }
     // Negative control.
-    assert_eq!(read_gltf(&scene, 5, Reflected::Diffusely, &progress).unwrap().size[0], 5);
+    assert_eq!(read_gltf(&scene, 5, BounceAlbedo::Diffuse, &progress).unwrap().size[0], 5);
 }
 
 #[test]
@@ -736,7 +736,7 @@ fn a_spot_of_a_file_has_its_cone_and_its_range() {
         "spot": { "innerConeAngle": 0.25, "outerConeAngle": 0.5 }
     });
     std::fs::write(&scene, document.to_string()).unwrap();
-    let lights = read_gltf(&scene, 16, Reflected::Diffusely, &Silent).unwrap().lights;
+    let lights = read_gltf(&scene, 16, BounceAlbedo::Diffuse, &Silent).unwrap().lights;
     let [light] = &lights[..] else { panic!("{lights:?}") };
     let expected = PunctualLight::spot(light.position, light.direction, [8.0, 4.0, 2.0], [0.25, 0.5]).with_range(9.0);
     assert_eq!(*light, expected);
@@ -749,7 +749,7 @@ fn numbers_of_materials_beyond_single_precision_are_refused_before_the_bake() {
         let material = json!({ "pbrMetallicRoughness": { "roughnessFactor": roughness } });
         let squares: &[(&[Uvs], _)] = &[(&[], Some(0))];
         let scene = write_squares(folder.path(), squares, json!({ "materials": [material] }));
-        read_gltf(scene, 16, Reflected::Diffusely, &Silent).map(drop).map_err(|e| e.to_string())
+        read_gltf(scene, 16, BounceAlbedo::Diffuse, &Silent).map(drop).map_err(|e| e.to_string())
     };
     read(json!(0.5)).unwrap();
     let error = read(json!(1e308)).unwrap_err();
@@ -767,6 +767,6 @@ fn buffers_that_are_no_files_are_refused() {
     std::fs::create_dir(folder.path().join("scene.bin")).unwrap();
     document["buffers"][0]["uri"] = "scene.bin".into();
     std::fs::write(&scene, document.to_string()).unwrap();
-    let error = read_gltf(&scene, 16, Reflected::Diffusely, &Silent).map(drop).unwrap_err().to_string();
+    let error = read_gltf(&scene, 16, BounceAlbedo::Diffuse, &Silent).map(drop).unwrap_err().to_string();
     assert!(error.contains("buffers[0]: its file scene.bin is a folder or a device; expected a file"), "{error}");
 }

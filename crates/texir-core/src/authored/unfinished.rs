@@ -29,12 +29,12 @@ impl Solved {
                 )
             });
         }
-        let Remainder { of_all, of_a_part } = self.remainder;
-        let share = match of_all.is_finite() {
+        let Remainder { total, worst_region } = self.remainder;
+        let share = match total.is_finite() {
             true => format!(
                 "about {:.2} % of all light, and {:.1} % where they lack most",
-                100.0 * of_all,
-                100.0 * of_a_part
+                100.0 * total,
+                100.0 * worst_region
             ),
             false => "an unknown share of all light".to_owned(),
         };

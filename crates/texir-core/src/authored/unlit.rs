@@ -104,7 +104,7 @@ fn suspects(
         passed[part] += 1;
         looked[part].texels += usize::from(chosen);
         // More than the noise of an image.
-        let shines = PI * luminance(&surfaces.emission.data[point.sequence as usize]) > dark;
+        let shines = PI * luminance(&surfaces.emission.data[point.index as usize]) > dark;
         if chosen && (shines || seen && luminance(&irradiance) < dark) {
             points.push(Suspect { part, point: *point, shines });
         }

@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use super::{BRIGHTEST, Gather, GroupTarget, Groups, MOST_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded};
+use super::{
+    Gather, GroupTarget, Groups, MAX_RADIANCE, MAX_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded,
+};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
@@ -22,10 +24,8 @@ fn sized(what: &str, found: usize, expected: usize) -> Result<()> {
 fn drawn(samples: u32) -> Result<()> {
     match samples {
         0 => Err(Error::invalid("the number of samples is 0: at least one is needed")),
-        1..=MOST_SAMPLES => Ok(()),
-        _ => {
-            Err(Error::invalid(format!("{samples} samples are asked for at a point; expected at most {MOST_SAMPLES}")))
-        }
+        1..=MAX_SAMPLES => Ok(()),
+        _ => Err(Error::invalid(format!("{samples} samples are asked for at a point; expected at most {MAX_SAMPLES}"))),
     }
 }
 
@@ -35,10 +35,10 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
         return Err(Error::invalid("the texture-based lighting has no texels: expected at least 1×1"));
     }
     sized("texels of the texture-based lighting", radiance.data.len(), radiance.width * radiance.height)?;
-    let impossible = |texel: &[f32; 3]| !texel.iter().all(|v| (0.0..=BRIGHTEST).contains(v));
+    let impossible = |texel: &[f32; 3]| !texel.iter().all(|v| (0.0..=MAX_RADIANCE).contains(v));
     if let Some(i) = radiance.data.iter().position(impossible) {
         return Err(Error::invalid(format!(
-            "the texture-based lighting has radiance {:?} in column {}, row {}; expected 0 to {BRIGHTEST:e}",
+            "the texture-based lighting has radiance {:?} in column {}, row {}; expected 0 to {MAX_RADIANCE:e}",
             radiance.data[i],
             i % radiance.width,
             i / radiance.width
@@ -46,10 +46,10 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     }
     let triangles = mesh.triangles.len();
     let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
-    if lights.numbers.len() != triangles || !known {
+    if lights.light_of_triangle.len() != triangles || !known {
         return Err(Error::invalid(format!(
             "the lights are those of another mesh: {} triangles, the backend's has {triangles}",
-            lights.numbers.len()
+            lights.light_of_triangle.len()
         )));
     }
     if lights.is_consistent() {

@@ -155,7 +155,7 @@ impl Solution {
             let (points, own) = (texels.points.get(&items)?, self.irradiance.get(&items)?);
             let (all, seen) = (total.irradiance.get(&items)?, total.seen.get(&items)?);
             for (i, point) in points.iter().enumerate().filter(|(i, _)| seen[*i] != 0) {
-                let (x, y) = (point.sequence as usize % width, point.sequence as usize / width);
+                let (x, y) = (point.index as usize % width, point.index as usize / width);
                 let (sum, count) = &mut sums[y / SIDE * columns + x / SIDE];
                 let [own, all] = [luminance(&own[i]), luminance(&all[i])];
                 *sum += if all > dark { f64::from(own / all) } else { 0.0 };
@@ -235,7 +235,7 @@ impl Solution {
         let clean = denoise::oidn::denoise(&picture(&self.irradiance, Some(&self.seen))?, &picture(&normals, None)?)?;
         let (gathered, seen) = (self.irradiance.get(&all)?, self.seen.get(&all)?);
         let values: Vec<[f32; 3]> = (points.iter().zip(gathered.iter().zip(seen.iter())))
-            .map(|(point, (gathered, seen))| if *seen == 0 { *gathered } else { clean.data[point.sequence as usize] })
+            .map(|(point, (gathered, seen))| if *seen == 0 { *gathered } else { clean.data[point.index as usize] })
             .collect();
         self.irradiance.set(&all, &values)?;
         Ok(self)

@@ -39,7 +39,7 @@ impl<'a> Texels<'a> {
         let task = Task::start(progress, "texels", (size[0] * size[1]) as u64, "texels");
         atlas::map(backend, size, |rows, points, _| {
             progress.check()?;
-            texels.count(points.iter().map(|point| point.sequence));
+            texels.count(points.iter().map(|point| point.index));
             texels.points.extend(&points)?;
             progress.advance((rows.len() * size[0]) as u64);
             Ok(())
@@ -54,12 +54,12 @@ impl<'a> Texels<'a> {
         Self::of_points([atlas.width, atlas.height], atlas.points.as_slice())
     }
 
-    /// Of a map of `[width, height]` texels, these points, row by row; a point's sequence is its texel's index.
+    /// Of a map of `[width, height]` texels, these points, row by row; a point's index is its texel's.
     pub(super) fn of_points(size: [usize; 2], points: impl Into<Cow<'a, [SurfacePoint]>>) -> Self {
         let points = points.into();
         let none = Store::Memory(Cow::Borrowed(&[]));
         let mut texels = Self { size, points: none, rows: vec![0; size[1] + 1], workspace: Workspace::Memory };
-        texels.count(points.iter().map(|point| point.sequence));
+        texels.count(points.iter().map(|point| point.index));
         texels.accumulate();
         Self { points: Store::Memory(points), ..texels }
     }
@@ -80,7 +80,7 @@ impl<'a> Texels<'a> {
         (0..valid).step_by(PIECE).map(move |start| Items::Range(start..(start + PIECE).min(valid)))
     }
 
-    /// The surface points of all, some at a time; the sequence of one is the index of its texel in the map.
+    /// The surface points of all, some at a time; the index of one is that of its texel in the map.
     pub fn points(&self) -> impl Iterator<Item = Result<Cow<'_, [SurfacePoint]>>> {
         self.points.pieces(PIECE)
     }
@@ -116,7 +116,7 @@ impl<'a> Texels<'a> {
         let mut filled = vec![false; raster.data.len()];
         let is_known = |k: usize| known.as_ref().is_none_or(|known| known[k] != 0);
         for (k, (point, value)) in points.iter().zip(values.iter()).enumerate() {
-            let at = point.sequence as usize - all.start * width;
+            let at = point.index as usize - all.start * width;
             raster.data[at] = *value;
             filled[at] = is_known(k);
         }

@@ -53,7 +53,7 @@ impl Thin {
         };
         let mut thin = Self { points: Vec::new(), of: Vec::with_capacity(atlas.points.len()) };
         for point in &atlas.points {
-            let [x, y] = [point.sequence % atlas.width as u32, point.sequence / atlas.width as u32];
+            let [x, y] = [point.index % atlas.width as u32, point.index / atlas.width as u32];
             // Those of its square that came before.
             let before = [[0, 0], [1, 0], [0, 1]]
                 .into_iter()
@@ -62,7 +62,7 @@ impl Thin {
             let shared =
                 before.map_while(|t| thin.of.get(t as usize)).find(|of| alike(&thin.points[**of as usize], point));
             let of = shared.copied().unwrap_or_else(|| {
-                thin.points.push(SurfacePoint { sequence: y / 2 * columns + x / 2, ..*point });
+                thin.points.push(SurfacePoint { index: y / 2 * columns + x / 2, ..*point });
                 thin.points.len() as u32 - 1
             });
             thin.of.push(of);
@@ -103,11 +103,11 @@ mod tests {
 
     #[test]
     fn texels_of_one_surface_share_a_point_within_their_square() {
-        let point = |sequence: u32, x: f32, normal: f32| SurfacePoint {
+        let point = |index: u32, x: f32, normal: f32| SurfacePoint {
             position: [x, 0.0, 0.0],
             triangle: 0,
             normal: [0.0, 0.0, normal],
-            sequence,
+            index,
         };
         // Two rows of five. Of the first square, the lower left texel is not there and the lower right one faces away;
         // of the second, the lower right one lies elsewhere; the last has one texel.
@@ -120,11 +120,11 @@ mod tests {
             point(7, 2.0, 1.0),
             point(8, 40.0, 1.0),
         ];
-        let texels = points.iter().map(|point| point.sequence).collect();
+        let texels = points.iter().map(|point| point.index).collect();
         let atlas = Atlas { width: 5, height: 2, texels, inside: vec![true; points.len()], points };
         let Thin { points, of } = Thin::new(&atlas, 4.0);
         assert_eq!(of, [0, 0, 1, 2, 3, 1, 4]);
-        let known: Vec<(u32, f32)> = points.iter().map(|point| (point.sequence, point.position[0])).collect();
+        let known: Vec<(u32, f32)> = points.iter().map(|point| (point.index, point.position[0])).collect();
         assert_eq!(known, [(0, 0.0), (1, 2.0), (2, 4.0), (0, 1.0), (1, 40.0)]);
     }
 }

@@ -277,7 +277,7 @@ impl Survey {
         let known = self.known();
         let differ = exposure::difference(known.iter().map(|(_, agreement)| agreement.exposure));
         let (most, agreement) = known.iter().max_by(|a, b| a.1.brighter().abs().total_cmp(&b.1.brighter().abs()))?;
-        (differ > exposure::ALIKE).then(|| {
+        (differ > exposure::MIN_DIFFERENCE).then(|| {
             format!(
                 "the training views are exposed differently, by {:.1} % (root mean square), {:?} most ({:.3} times as bright as the middle \
                  one): --solve-exposure brings them together, unless the light was changed between them",

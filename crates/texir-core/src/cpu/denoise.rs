@@ -10,7 +10,8 @@ use super::lanes::Lanes;
 use crate::brdf::basis;
 use crate::cholesky;
 use crate::denoise::{
-    CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RIDGE, SIGNIFICANT, TOLERANCE,
+    CELL, CURVATURE, GUIDE_RADIUS, LOSS_SIGMAS, NOISE_RADIUS, Noisy, RESIDUAL_RADIUS, RESIDUAL_THRESHOLD, RIDGE,
+    TOLERANCE,
 };
 use crate::error::Result;
 use crate::neighbours::{FAR, Neighbours};
@@ -119,7 +120,7 @@ impl Search<'_> {
     fn clean<R: Real>(&self, i: usize, fits: &[[V3<R>; 2]]) -> V3<R> {
         // Relative to the fits: what both halves share, and the variance of their mean.
         let (mut shared, mut noise) = (R::of(0.0), R::of(0.0));
-        self.around(i, MISS_RADIUS, |j, _, near: R| {
+        self.around(i, RESIDUAL_RADIUS, |j, _, near: R| {
             let [a, b] = self.noisy.at(j);
             let (a, b) = (a - fits[j][0], b - fits[j][1]);
             let level = square(fits[j][0] + fits[j][1]).max(R::of(TINY));
@@ -127,7 +128,7 @@ impl Search<'_> {
             noise = noise + near * square(a - b) / (R::of(4.0) * level);
         });
         // Wiener's weight, of what is more than chance.
-        let signal = (shared - noise * R::of(f64::from(CHANCE))).max(R::of(0.0));
+        let signal = (shared - noise * R::of(f64::from(RESIDUAL_THRESHOLD))).max(R::of(0.0));
         let kept = if signal > R::of(0.0) { signal / (signal + noise) } else { R::of(0.0) };
         let fit = mean(fits[i]);
         fit + (mean(self.noisy.at(i)) - fit) * kept
@@ -249,7 +250,7 @@ impl<R: Real> Pass<R, 4> for Conserve<'_, R> {
     fn found(&self, i: usize, ConserveSums { lost, weight, squares, .. }: ConserveSums<R>) -> [R; 3] {
         let (lost, weight, squares) = (V3(lost.map(Lanes::sum)), weight.sum(), squares.sum());
         let lost = lost * (R::of(1.0) / weight);
-        let chance = squares / (weight * weight) * R::of(f64::from(SIGNIFICANT * SIGNIFICANT));
+        let chance = squares / (weight * weight) * R::of(f64::from(LOSS_SIGMAS * LOSS_SIGMAS));
         let given = if square(lost) > chance { R::of(1.0) - chance / square(lost) } else { R::of(0.0) };
         (self.cleaned[i] + lost * given).0.map(|c| c.max(R::of(0.0)))
     }
@@ -378,7 +379,7 @@ mod tests {
     const NOISE: f32 = 0.1;
 
     fn point(position: Vec3, normal: Vec3) -> SurfacePoint {
-        SurfacePoint { position: position.to_array(), triangle: 0, normal: normal.to_array(), sequence: 0 }
+        SurfacePoint { position: position.to_array(), triangle: 0, normal: normal.to_array(), index: 0 }
     }
 
     /// Texel (x, y) of a floor.

@@ -37,7 +37,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let mesh = lighting.tracer.mesh();
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
     let (tangent, bitangent) = basis(normal);
-    let (seed, stretch) = gather.sequences.of(gather.seed, point.sequence);
+    let (seed, stretch) = gather.sequences.of(gather.seed, point.index);
     let sky = lighting.environment.filter(|sky| !sky.bright().is_empty());
     let [light_samples, sky_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
     let table = lights.table(point.position.into(), point.normal.into());

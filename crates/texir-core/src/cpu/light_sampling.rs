@@ -1,7 +1,7 @@
 //! Directions to the lights of the TBL, and the density with which they are drawn; twin of
 //! `shared/light_sampling.wgsl`.
 
-use crate::distribution::invert;
+use crate::distribution::sample_cdf;
 use crate::lights::{Lights, point_on};
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
@@ -10,7 +10,7 @@ use crate::scene::trace::TraceHit;
 /// A point on a light, and the triangle it lies on: the first number chooses a cluster by `table`, what is left of it a
 /// triangle of the cluster, and what is left of that is the point's first coordinate.
 pub fn light_point<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], [u, v]: [f32; 2]) -> (u32, V3<R>) {
-    let (cluster, rest) = invert(table.len(), |c| table[c], u);
+    let (cluster, rest) = sample_cdf(table.len(), |c| table[c], u);
     let (triangle, rest) = lights.triangle(cluster, rest);
     (triangle, point_on(mesh, triangle, [rest, v]))
 }
@@ -21,8 +21,8 @@ pub fn light_density<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], hit: 
     let Some(light) = lights.of(hit.triangle) else { return R::of(0.0) };
     let cluster = light.cluster as usize;
     let before = if cluster > 0 { table[cluster - 1] } else { 0.0 };
-    let per_area = R::of(f64::from((table[cluster] - before) * light.per_area));
+    let pdf_area = R::of(f64::from((table[cluster] - before) * light.pdf_area));
     let [a, b, c] = mesh.corners(hit.triangle).map(|p| V3::of(p.to_array()));
     let cosine = (b - a).cross(c - a).normalize().dot(direction).abs();
-    per_area * hit.t * hit.t / cosine.max(R::of(1e-6))
+    pdf_area * hit.t * hit.t / cosine.max(R::of(1e-6))
 }

@@ -1,4 +1,4 @@
-//! The light that arrives along a ray; twin of `shared/scene.wgsl` and `shared/environment.wgsl`.
+//! The light that arrives along a ray; twin of `shared/lighting.wgsl` and `shared/environment.wgsl`.
 
 use crate::environment::Environment;
 use crate::raster::Rgb;

@@ -186,7 +186,11 @@ impl Backend for CpuBackend {
         let (lighting, _) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(sampling.samples), |i, point| {
             let s = shade::shade(&lighting, point, &MaterialIn::from(&materials[i]), sampling, gradient);
-            Shaded { radiance: s.radiance.0, specular_scale: s.specular_scale.0, d_roughness: s.d_roughness.0 }
+            Shaded {
+                radiance: s.radiance.0,
+                specular_scale: s.specular_scale.0,
+                roughness_jacobian: s.roughness_jacobian.0,
+            }
         })
     }
 
@@ -202,7 +206,7 @@ impl Backend for CpuBackend {
             let jacobian = ShadedIn {
                 radiance: V3(shaded[i].radiance),
                 specular_scale: V3(shaded[i].specular_scale),
-                d_roughness: V3(shaded[i].d_roughness),
+                roughness_jacobian: V3(shaded[i].roughness_jacobian),
             };
             let d = shade_vjp::shade_vjp(&points[i], &MaterialIn::from(&materials[i]), &jacobian, V3(d_radiance[i]));
             MaterialGrad { albedo: d.albedo.0, roughness: d.roughness, metallic: d.metallic }

@@ -4,8 +4,8 @@
 use super::lighting::Lighting;
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
 use crate::brdf::{
-    Cosines, Masking, basis, d_ln_distribution_sampled, d_ln_schlick, f0, fresnel_weight, sample_half_vector,
-    sample_weight, schlick,
+    Cosines, Masking, basis, d_ln_ndf_sampled, d_ln_schlick, f0, fresnel_weight, g_schlick, sample_half_vector,
+    sample_weight,
 };
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -30,7 +30,7 @@ pub struct ShadedIn<R> {
     /// A = Σ w L (1−x).
     pub specular_scale: V3<R>,
     /// ∂L_o/∂r.
-    pub d_roughness: V3<R>,
+    pub roughness_jacobian: V3<R>,
 }
 
 /// One drawn light sample: its direction, its cosines and what it weighs.
@@ -70,7 +70,7 @@ fn sample_lobe<R: Real>(
     let c = Cosines { nl: nl.min(one), nv: normal.dot(view).max(zero).min(one), nh: cos, vh: vh.min(one) };
     let x = fresnel_weight(c.vh);
     let (d_ln_weight, d_fresnel) = match gradient {
-        RoughnessGradient::Exact => (d_ln_distribution_sampled(u, r) + d_ln_schlick(c.nl, c.nv, r), zero),
+        RoughnessGradient::Exact => (d_ln_ndf_sampled(u, r) + d_ln_schlick(c.nl, c.nv, r), zero),
         RoughnessGradient::Authors => {
             // The half-vector tilts with r: dθ_h/dr = 2r √(u(1−u)) / ((1−u)+r⁴u), and everything with it.
             let d_theta = two * r * (u * (one - u)).sqrt() / ((one - u) + r * r * r * r * u);
@@ -78,8 +78,9 @@ fn sample_lobe<R: Real>(
             let d_vh = view.dot(azimuth * cos - normal * sin) * d_theta;
             let d_nl = two * (d_vh * c.nh + c.vh * d_nh);
             let k = (r + one) * (r + one) * R::of(0.125);
-            let d_ln_w = d_ln_schlick(c.nl, c.nv, r) - (one - k) * schlick(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
-                - d_nh / c.nh;
+            let d_ln_w =
+                d_ln_schlick(c.nl, c.nv, r) - (one - k) * g_schlick(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
+                    - d_nh / c.nh;
             let slope = R::of(-5.55472 * 2.0) * c.vh - R::of(6.98316);
             (d_ln_w, x * R::of(std::f64::consts::LN_2) * slope * d_vh)
         }
@@ -89,7 +90,7 @@ fn sample_lobe<R: Real>(
 
 /// L_o = a(1−m)E/π + F0⊙A + B with A = Σ w L (1−x), B = Σ w L x over `sampling.samples` samples, and ∂L_o/∂r.
 ///
-/// Item `point.sequence` draws from the Sobol sequence of `hash2(seed, sequence)`.
+/// Item `point.index` draws from the Sobol sequence of `hash2(seed, index)`.
 pub fn shade<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
     point: &ShadePoint,
@@ -100,7 +101,7 @@ pub fn shade<R: Real, T: Trace<R>>(
     let one = R::of(1.0);
     let (normal, view) = (V3::of(point.normal), V3::of(point.view));
     let f0 = f0(material.albedo, material.metallic);
-    let seed = hash2(sampling.seed, point.sequence);
+    let seed = hash2(sampling.seed, point.index);
     let (mut scale, mut bias, mut d_roughness) = (V3::zero(), V3::zero(), V3::zero());
     for i in 0..sampling.samples {
         let Some(s) = sample_lobe(normal, view, material.roughness, sobol2(i, seed), gradient) else { continue };
@@ -115,5 +116,9 @@ pub fn shade<R: Real, T: Trace<R>>(
     let (scale, bias) = (scale * share, bias * share);
     let diffuse = material.albedo.hadamard(V3::of(point.irradiance))
         * ((one - material.metallic) * R::of(std::f64::consts::FRAC_1_PI));
-    ShadedIn { radiance: diffuse + f0.hadamard(scale) + bias, specular_scale: scale, d_roughness: d_roughness * share }
+    ShadedIn {
+        radiance: diffuse + f0.hadamard(scale) + bias,
+        specular_scale: scale,
+        roughness_jacobian: d_roughness * share,
+    }
 }

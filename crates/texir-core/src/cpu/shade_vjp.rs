@@ -18,7 +18,7 @@ pub fn shade_vjp<R: Real>(
     let tint = material.albedo.map(|a| a - R::of(DIELECTRIC_F0));
     MaterialIn {
         albedo: d_radiance.hadamard(diffuse * (R::of(1.0) - material.metallic) + scale * material.metallic),
-        roughness: d_radiance.dot(shaded.d_roughness),
+        roughness: d_radiance.dot(shaded.roughness_jacobian),
         metallic: d_radiance.dot(tint.hadamard(scale) - material.albedo.hadamard(diffuse)),
     }
 }

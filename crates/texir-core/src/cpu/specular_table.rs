@@ -7,7 +7,7 @@ use super::irradiance::cosine_direction;
 use super::light_sampling::{light_density, light_point};
 use super::lighting::Lighting;
 use crate::backend::ShadePoint;
-use crate::brdf::{Masking, basis, distribution_at, fresnel_weight, sample_half_vector};
+use crate::brdf::{Masking, basis, fresnel_weight, ndf_from_sin2, sample_half_vector};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -16,7 +16,7 @@ use crate::specular_table::{LOBES, NODES, STRATA, TableSampling, node};
 
 /// S(r_k) = Σ L f_s(r_k) nl / Σ_j n_j p_j at every node k, the mean over the strata: the balance heuristic (Veach and
 /// Guibas 1995) over all lobes, the cosine and the lights. Every node uses every sample. Technique j draws from the
-/// Sobol sequence of `hash2(hash2(seed, sequence), j)`, stratum t its samples `[t n_j, (t+1) n_j)`.
+/// Sobol sequence of `hash2(hash2(seed, index), j)`, stratum t its samples `[t n_j, (t+1) n_j)`.
 pub fn specular_table<R: Real, T: Trace<R>>(
     lighting: &Lighting<'_, T>,
     lights: &Lights,
@@ -24,7 +24,7 @@ pub fn specular_table<R: Real, T: Trace<R>>(
     f0: f32,
     sampling: TableSampling,
 ) -> [V3<R>; NODES] {
-    let seed = hash2(sampling.seed, strata[0].sequence);
+    let seed = hash2(sampling.seed, strata[0].index);
     let sampling = TableSampling { light: if lights.is_empty() { 0 } else { sampling.light }, ..sampling };
     let mut sums = [[R::of(0.0); NODES]; 3];
     let widest = Arch::new();
@@ -141,7 +141,7 @@ impl<R: Real> NullaryFnOnce for AtEveryNode<'_, R> {
         let mut reflected = [R::of(0.0); NODES];
         for k in 0..NODES {
             // f_s / F = D g(nl) g(nv) / 4.
-            reflected[k] = distribution_at(lobe.sin2, nodes[k]) * masking.at(lobe.nl, nodes[k]) * seen[k];
+            reflected[k] = ndf_from_sin2(lobe.sin2, nodes[k]) * masking.at(lobe.nl, nodes[k]) * seen[k];
         }
         for (sums, light) in sums.iter_mut().zip(light) {
             for k in 0..NODES {
@@ -162,6 +162,6 @@ struct Lobe<R> {
 impl<R: Real> Lobe<R> {
     /// Density of the direction under half-vector sampling: D nh / (4 vh).
     fn pdf(&self, r: R) -> R {
-        distribution_at(self.sin2, r) * self.nh / (R::of(4.0) * self.vh)
+        ndf_from_sin2(self.sin2, r) * self.nh / (R::of(4.0) * self.vh)
     }
 }

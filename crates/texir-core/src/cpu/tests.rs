@@ -17,7 +17,7 @@ use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::real::{Dual, Real};
 use crate::rng::{hash, hash2, sobol2};
-use crate::scene::trace::{Exhaustive, Trace};
+use crate::scene::trace::{BruteForce, Trace};
 use crate::texture::{SparseRows, Tap};
 
 /// A closed box [0, 1]³ seen from inside; each wall has its own sixth of the atlas.
@@ -61,7 +61,7 @@ fn patchy_light() -> Rgb {
 fn point(view: Vec3) -> ShadePoint {
     ShadePoint {
         position: [0.4, 0.55, 1e-4],
-        sequence: 9,
+        index: 9,
         normal: [0.0, 0.0, 1.0],
         view: view.normalize().to_array(),
         irradiance: [1.0, 0.8, 0.5],
@@ -85,25 +85,25 @@ fn close(a: f64, b: f64, tolerance: f64, what: &str) {
 #[test]
 fn the_authors_gradient_is_the_derivative_of_their_estimator() {
     let (mesh, tbl) = (box_room(), patchy_light());
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
+    let light = Lighting { tracer: &BruteForce(&mesh), radiance: &tbl, environment: None };
     for view in views() {
         for r in [0.1, 0.3, 0.7] {
             let d = shade(&light, &point(view), &material(Dual::variable(r)), SAMPLING, RoughnessGradient::Authors);
             for c in 0..3 {
-                close(d.d_roughness.0[c].re, d.radiance.0[c].du, 1e-9, "dL/dr");
+                close(d.roughness_jacobian.0[c].re, d.radiance.0[c].du, 1e-9, "dL/dr");
             }
         }
     }
 }
 
 /// L_o(r') by the samples and densities of r: the detached estimator, written out from the BRDF's value and density.
-fn detached<R: Real>(light: &Lighting<'_, Exhaustive<'_>>, point: &ShadePoint, r: f64, moved: R) -> V3<R> {
+fn detached<R: Real>(light: &Lighting<'_, BruteForce<'_>>, point: &ShadePoint, r: f64, moved: R) -> V3<R> {
     let (n, v) = (V3::<f64>::of(point.normal), V3::<f64>::of(point.view));
     let (t, b) = brdf::basis(n);
     let f0 = brdf::f0(material(moved).albedo, R::of(0.3));
     let mut sum = V3::zero();
     for i in 0..SAMPLING.samples {
-        let [u1, u2] = sobol2(i, hash2(SAMPLING.seed, point.sequence)).map(f64::from);
+        let [u1, u2] = sobol2(i, hash2(SAMPLING.seed, point.index)).map(f64::from);
         let cos = brdf::sample_half_vector(u1, r)[1];
         let (sin, phi) = ((1.0 - cos * cos).sqrt(), std::f64::consts::TAU * u2);
         let h = t * (sin * phi.cos()) + b * (sin * phi.sin()) + n * cos;
@@ -126,7 +126,7 @@ fn detached<R: Real>(light: &Lighting<'_, Exhaustive<'_>>, point: &ShadePoint, r
 #[test]
 fn the_exact_gradient_is_that_of_the_detached_estimator() {
     let (mesh, tbl) = (box_room(), patchy_light());
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
+    let light = Lighting { tracer: &BruteForce(&mesh), radiance: &tbl, environment: None };
     let mut differs = false;
     for view in views() {
         for r in [0.1, 0.3, 0.7] {
@@ -134,9 +134,9 @@ fn the_exact_gradient_is_that_of_the_detached_estimator() {
             let got = shade(&light, &point(view), &material(r), SAMPLING, RoughnessGradient::Exact);
             let biased = shade(&light, &point(view), &material(r), SAMPLING, RoughnessGradient::Authors);
             for c in 0..3 {
-                close(got.d_roughness.0[c], expected.0[c].du, 1e-6, "dL/dr");
+                close(got.roughness_jacobian.0[c], expected.0[c].du, 1e-6, "dL/dr");
                 // Negative control: the authors' estimator is another one.
-                differs |= (biased.d_roughness.0[c] - expected.0[c].du).abs() > 0.1;
+                differs |= (biased.roughness_jacobian.0[c] - expected.0[c].du).abs() > 0.1;
             }
         }
     }
@@ -146,7 +146,7 @@ fn the_exact_gradient_is_that_of_the_detached_estimator() {
 #[test]
 fn shade_vjp_is_the_transposed_derivative() {
     let (mesh, tbl) = (box_room(), patchy_light());
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
+    let light = Lighting { tracer: &BruteForce(&mesh), radiance: &tbl, environment: None };
     let delta = V3([0.7, -1.3, 0.4]);
     for view in views() {
         let p = point(view);
@@ -257,7 +257,7 @@ fn a_closed_box_of_constant_radiance_is_a_furnace() {
 #[test]
 fn a_smooth_conductor_in_a_furnace_reflects_its_f0() {
     let (mesh, tbl) = (box_room(), Rgb::filled(4, 4, [1.0; 3]));
-    let light = Lighting { tracer: &Exhaustive(&mesh), radiance: &tbl, environment: None };
+    let light = Lighting { tracer: &BruteForce(&mesh), radiance: &tbl, environment: None };
     let mirror = MaterialIn { albedo: V3([1.0, 0.7, 0.2]), roughness: 0.02, metallic: 1.0 };
     let p = point(Vec3::new(0.0, 0.05, 1.0));
     let got: ShadedIn<f64> = shade(&light, &p, &mirror, SAMPLING, RoughnessGradient::Exact);
@@ -269,7 +269,7 @@ fn a_smooth_conductor_in_a_furnace_reflects_its_f0() {
 #[test]
 fn obvhs_and_the_exhaustive_search_agree() {
     let scene = Arc::new(Scene::new(box_room()).unwrap());
-    let exhaustive = Exhaustive(scene.mesh());
+    let exhaustive = BruteForce(scene.mesh());
     for i in 0..500 {
         let [u, v] = sobol2(i, 1);
         let d = V3([u - 0.5, v - 0.5, sobol2(i, 2)[0] - 0.5]).normalize();
@@ -312,7 +312,7 @@ fn light_samples_change_the_noise_and_not_the_mean() {
     assert!(rms < 0.7 * plain, "{rms} against {plain} by the cosine alone");
     // Negative control: a density that is not that of the samples is a bias that this test sees.
     let mut wrong = lights;
-    wrong.triangles.iter_mut().for_each(|light| light.per_area *= 0.8);
+    wrong.triangles.iter_mut().for_each(|light| light.pdf_area *= 0.8);
     backend.set_tbl(&tbl, &wrong).unwrap();
     let all = backend.irradiance(&atlas.points, Gather::new(32, 32, 2), &Silent).unwrap();
     let biased: Vec<f64> = all.iter().map(|g| f64::from(g.irradiance[0])).collect();

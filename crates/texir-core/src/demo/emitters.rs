@@ -28,7 +28,7 @@ struct Lamp {
     radius: f32,
     triangles: Vec<u32>,
     /// Cumulative probabilities of `triangles`, by power.
-    cumulative: Vec<f32>,
+    cdf: Vec<f32>,
 }
 
 /// All lamps of a flat.
@@ -42,7 +42,7 @@ pub(super) struct Emitters {
 /// below its horizon.
 pub(super) struct Choice {
     /// Cumulative, ending at 1; empty if nothing can light the point.
-    cumulative: Vec<f32>,
+    cdf: Vec<f32>,
 }
 
 impl Emitters {
@@ -76,11 +76,11 @@ impl Emitters {
         let centre = 0.5 * (lo + hi);
         let radius = corners().map(|p| p.distance(centre)).fold(0.0, f32::max);
         let mut sum = 0.0;
-        let cumulative = powers.iter().map(|p| (sum += p / power, sum).1).collect();
+        let cdf = powers.iter().map(|p| (sum += p / power, sum).1).collect();
         for (&t, p) in triangles.iter().zip(&powers) {
             self.owner[t as usize] = Some((self.lamps.len() as u32, p / (power * flat.mesh.area(t))));
         }
-        self.lamps.push(Lamp { room: look(triangles[0]).room, power, centre, radius, triangles, cumulative });
+        self.lamps.push(Lamp { room: look(triangles[0]).room, power, centre, radius, triangles, cdf });
     }
 
     /// Whether the triangle emits.
@@ -91,7 +91,7 @@ impl Emitters {
     /// How lamps are drawn for a point in `room`.
     pub fn choice(&self, position: Vec3, normal: Vec3, room: u16) -> Choice {
         let mut sum = 0.0;
-        let mut cumulative: Vec<f32> = self
+        let mut cdf: Vec<f32> = self
             .lamps
             .iter()
             .map(|lamp| {
@@ -104,11 +104,11 @@ impl Emitters {
             })
             .collect();
         if sum > 0.0 {
-            cumulative.iter_mut().for_each(|value| *value /= sum);
+            cdf.iter_mut().for_each(|value| *value /= sum);
         } else {
-            cumulative.clear();
+            cdf.clear();
         }
-        Choice { cumulative }
+        Choice { cdf }
     }
 
     /// Density per area (1/m²) with which [`Self::sample`] draws a point of this triangle.
@@ -124,10 +124,9 @@ impl Emitters {
         [pick, part]: [f32; 2],
         [u, v]: [f32; 2],
     ) -> Option<EmitterSample> {
-        let lamp = choice.cumulative.partition_point(|&sum| sum <= pick).min(choice.cumulative.len().checked_sub(1)?);
+        let lamp = choice.cdf.partition_point(|&sum| sum <= pick).min(choice.cdf.len().checked_sub(1)?);
         let lamp = &self.lamps[lamp];
-        let triangle =
-            lamp.triangles[lamp.cumulative.partition_point(|&sum| sum <= part).min(lamp.triangles.len() - 1)];
+        let triangle = lamp.triangles[lamp.cdf.partition_point(|&sum| sum <= part).min(lamp.triangles.len() - 1)];
         let root = u.sqrt();
         let weights = [1.0 - root, root * (1.0 - v), root * v];
         let [a, b, c] = flat.mesh.corners(triangle);
@@ -143,7 +142,7 @@ impl Emitters {
 
 impl Choice {
     fn probability(&self, lamp: usize) -> f32 {
-        let Some(&to) = self.cumulative.get(lamp) else { return 0.0 };
-        to - if lamp == 0 { 0.0 } else { self.cumulative[lamp - 1] }
+        let Some(&to) = self.cdf.get(lamp) else { return 0.0 };
+        to - if lamp == 0 { 0.0 } else { self.cdf[lamp - 1] }
     }
 }

@@ -99,7 +99,7 @@ fn ply_meshes() {
 /// As `texir bake scene.glb` starts.
 fn use_scene(path: &Path) {
     use_mesh(path);
-    if let Ok(model) = authored::read_gltf(path, 64, authored::Reflected::Diffusely, &Silent) {
+    if let Ok(model) = authored::read_gltf(path, 64, authored::BounceAlbedo::Diffuse, &Silent) {
         drop(Scene::new(model.mesh));
     }
 }

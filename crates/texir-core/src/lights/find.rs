@@ -2,7 +2,7 @@
 
 use super::{LightTriangle, Lights, cluster, learn};
 use crate::atlas::Atlas;
-use crate::distribution::{CONTRAST, cumulative};
+use crate::distribution::{CONTRAST, cdf};
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::raster::{Rgb, luminance, times};
@@ -42,15 +42,15 @@ impl Lights {
         for (cluster, members) in (0..).zip(cluster::clusters(mesh, shining, &power)) {
             let weights: Vec<f32> = members.iter().map(|&t| power(t)).collect();
             let sum: f32 = weights.iter().sum();
-            for (&triangle, cumulative) in members.iter().zip(cumulative(&weights)) {
-                let per_area = luminance[triangle as usize] / sum;
-                lights.triangles.push(LightTriangle { triangle, cluster, cumulative, per_area });
-                lights.numbers[triangle as usize] = lights.triangles.len() as u32;
+            for (&triangle, cdf) in members.iter().zip(cdf(&weights)) {
+                let pdf_area = luminance[triangle as usize] / sum;
+                lights.triangles.push(LightTriangle { triangle, cluster, cdf, pdf_area });
+                lights.light_of_triangle[triangle as usize] = lights.triangles.len() as u32;
             }
             lights.clusters.push(lights.triangles.len() as u32);
             powers.push(sum);
         }
-        lights.tables = cumulative(&powers);
+        lights.tables = cdf(&powers);
         lights
     }
 }
@@ -79,7 +79,7 @@ impl<'a> Finder<'a> {
         let triangles = self.sums.len();
         for point in points {
             let (sum, radiance) =
-                (self.sums.get_mut(point.triangle as usize), self.radiance.data.get(point.sequence as usize));
+                (self.sums.get_mut(point.triangle as usize), self.radiance.data.get(point.index as usize));
             let ((sum, count), radiance) = sum.zip(radiance).ok_or_else(|| {
                 Error::invalid(format!(
                     "a texel lies on triangle {} of a mesh of {triangles}; expected texels of the backend's mesh, and a map of their size",

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{LightGrid, Lights, point_on};
-use crate::distribution::cumulative;
+use crate::distribution::cdf;
 use crate::mesh::bounds;
 use crate::real::V3;
 use crate::rng::{hash2, sobol2};
@@ -47,7 +47,7 @@ pub fn learn(mut lights: Lights, scene: &Scene, points: &[SurfacePoint]) -> Ligh
                     contribution(&lights, scene, cluster, hash2(cell[0].0 as u32, cluster as u32), point)
                 })
                 .collect();
-            (weights.iter().sum::<f32>() > 0.0).then(|| cumulative(&weights))
+            (weights.iter().sum::<f32>() > 0.0).then(|| cdf(&weights))
         })
         .collect();
     let mut number = 0;

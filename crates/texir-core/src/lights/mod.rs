@@ -12,7 +12,7 @@ mod learn;
 
 use glam::Vec3;
 
-use crate::distribution::invert;
+use crate::distribution::sample_cdf;
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
 
@@ -24,9 +24,9 @@ pub struct LightTriangle {
     /// The cluster that it is of.
     pub cluster: u32,
     /// Probability, within the cluster, of this triangle and those before it.
-    pub cumulative: f32,
+    pub cdf: f32,
     /// Density, per square metre, of points on the triangle once its cluster is chosen.
-    pub per_area: f32,
+    pub pdf_area: f32,
 }
 
 /// Which table belongs to which part of the surface: cubic cells times six facings.
@@ -51,7 +51,7 @@ pub struct Lights {
     /// The first of each cluster's triangles, and at last their number.
     pub clusters: Vec<u32>,
     /// Per mesh triangle: 1 + its index in `triangles`, 0 for what is no light.
-    pub numbers: Vec<u32>,
+    pub light_of_triangle: Vec<u32>,
     /// Whether all backs are black, as those of lights always are; else what is no light shows the same radiance on
     /// either side.
     pub one_sided: bool,
@@ -65,8 +65,8 @@ impl Lights {
     /// No lights: a gather that samples the cosine alone.
     pub fn none(mesh: &Mesh) -> Self {
         let grid = LightGrid { origin: Vec3::ZERO, per_metre: 0.0, size: [0; 3], tables: Vec::new() };
-        let numbers = vec![0; mesh.triangles.len()];
-        Self { triangles: Vec::new(), clusters: vec![0], numbers, one_sided: false, grid, tables: Vec::new() }
+        let light_of_triangle = vec![0; mesh.triangles.len()];
+        Self { triangles: Vec::new(), clusters: vec![0], light_of_triangle, one_sided: false, grid, tables: Vec::new() }
     }
 
     /// Whether there is nothing to sample.
@@ -85,26 +85,26 @@ impl Lights {
         let tables = self.tables.len().checked_div(clusters).unwrap_or(0);
         let [x, y, z] = self.grid.size.map(|n| n as usize);
         let numbered = |(number, light): (u32, &LightTriangle)| {
-            self.numbers.get(light.triangle as usize) == Some(&number) && (light.cluster as usize) < clusters
+            self.light_of_triangle.get(light.triangle as usize) == Some(&number) && (light.cluster as usize) < clusters
         };
         ascending
             && whole
             && (clusters == 0 || tables > 0)
             && (1..).zip(&self.triangles).all(numbered)
-            && self.numbers.iter().all(|&number| number as usize <= self.triangles.len())
+            && self.light_of_triangle.iter().all(|&number| number as usize <= self.triangles.len())
             && self.grid.tables.len() == 6 * x * y * z
             && (clusters == 0 || self.grid.tables.iter().all(|&table| (table as usize) < tables))
     }
 
     /// What a mesh triangle is sampled as; `None` for what is no light.
     pub fn of(&self, triangle: u32) -> Option<&LightTriangle> {
-        let number = self.numbers[triangle as usize] as usize;
+        let number = self.light_of_triangle[triangle as usize] as usize;
         number.checked_sub(1).map(|index| &self.triangles[index])
     }
 
     /// Whether the back of a mesh triangle is black.
     pub fn is_black_behind(&self, triangle: u32) -> bool {
-        self.one_sided || self.numbers[triangle as usize] > 0
+        self.one_sided || self.light_of_triangle[triangle as usize] > 0
     }
 
     /// The table for light that arrives at a point of the surface with this normal.
@@ -119,11 +119,11 @@ impl Lights {
         self.tables[cluster] - if cluster > 0 { self.tables[cluster - 1] } else { 0.0 }
     }
 
-    /// The triangle of `cluster` at `u` of its cumulative probability, and how far `u` lies within the triangle's
+    /// The triangle of `cluster` at `u` of its cdf probability, and how far `u` lies within the triangle's
     /// share.
     pub fn triangle(&self, cluster: usize, u: f32) -> (u32, f32) {
         let members = &self.triangles[self.clusters[cluster] as usize..self.clusters[cluster + 1] as usize];
-        let (i, rest) = invert(members.len(), |i| members[i].cumulative, u);
+        let (i, rest) = sample_cdf(members.len(), |i| members[i].cdf, u);
         (members[i].triangle, rest)
     }
 }

@@ -7,7 +7,7 @@ use super::*;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::cpu::CpuBackend;
-use crate::distribution::cumulative;
+use crate::distribution::cdf;
 use crate::progress::Silent;
 use crate::raster::Rgb;
 use crate::scene::Scene;
@@ -69,7 +69,7 @@ fn atlas(scene: &Arc<Scene>) -> Atlas {
 
 /// A point of the floor.
 fn on_floor(x: f32, y: f32) -> SurfacePoint {
-    SurfacePoint { position: [x, y, 1e-4], triangle: 0, normal: [0.0, 0.0, 1.0], sequence: 0 }
+    SurfacePoint { position: [x, y, 1e-4], triangle: 0, normal: [0.0, 0.0, 1.0], index: 0 }
 }
 
 /// Share of the directions above (x, y), by the cosine, that see a horizontal rectangle `h` higher (Siegel and Howell,
@@ -86,7 +86,7 @@ fn form_factor([x, y]: [f64; 2], low: [f64; 2], high: [f64; 2], h: f64) -> f64 {
 
 /// Mean and relative standard deviation of E over seeds at a point.
 fn gathered(backend: &mut dyn Backend, point: &SurfacePoint, cosine: u32, light: u32) -> (f64, f64) {
-    let points: Vec<SurfacePoint> = (0..20_000).map(|sequence| SurfacePoint { sequence, ..*point }).collect();
+    let points: Vec<SurfacePoint> = (0..20_000).map(|index| SurfacePoint { index, ..*point }).collect();
     let all = backend.irradiance(&points, Gather::new(cosine, light, 1), &Silent).unwrap();
     let n = all.len() as f64;
     let e = || all.iter().map(|g| f64::from(g.irradiance[0]));
@@ -114,14 +114,14 @@ fn a_rectangle_shines_as_its_form_factor_says() {
     let clusters = lights.clusters.len() - 1;
     let lamp = |c: usize| scene.mesh().centre(lights.triangle(c, 0.0).0).x < 2.0;
     let unwise: Vec<f32> = (0..clusters).map(|c| if lamp(c) { 1e-3 } else { 1.0 }).collect();
-    let unwise = cumulative(&unwise).repeat(lights.tables.len() / clusters);
+    let unwise = cdf(&unwise).repeat(lights.tables.len() / clusters);
     lights.tables = unwise;
     backend.set_tbl(&radiance, &lights).unwrap();
     let expected = PI * form_factor([1.0, 1.0], [0.8, 0.8], [1.2, 1.2], 1.9 - 1e-4);
     let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 64, 8);
     assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by an unwise table");
     // Negative control: a density that is not the draws' own is a bias that this test sees.
-    lights.triangles.iter_mut().for_each(|light| light.per_area *= 3.0);
+    lights.triangles.iter_mut().for_each(|light| light.pdf_area *= 3.0);
     backend.set_tbl(&radiance, &lights).unwrap();
     let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 1, 8);
     let wrong = (mean / expected - 1.0).abs();
@@ -154,7 +154,7 @@ fn every_table_is_a_density() {
     for table in lights.tables.chunks(clusters) {
         let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
         let total: f32 = (lights.triangles.iter())
-            .map(|light| of(light.cluster as usize) * light.per_area * scene.mesh().area(light.triangle))
+            .map(|light| of(light.cluster as usize) * light.pdf_area * scene.mesh().area(light.triangle))
             .sum();
         assert!((total - 1.0).abs() < 1e-5, "{total}");
     }
@@ -181,7 +181,7 @@ fn clusters_hold_every_light_once_and_face_one_way() {
         let members = &lights.triangles[range[0] as usize..range[1] as usize];
         let way = |l: &LightTriangle| facing(mesh.face_normal(l.triangle));
         assert!(!members.is_empty() && members.iter().all(|l| way(l) == way(&members[0])));
-        assert_eq!(members.last().map(|l| l.cumulative), Some(1.0));
+        assert_eq!(members.last().map(|l| l.cdf), Some(1.0));
     }
 }
 

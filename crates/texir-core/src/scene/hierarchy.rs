@@ -20,7 +20,7 @@ const BINS: usize = 32;
 const HEURISTIC_LEVELS: usize = 48;
 /// Most levels of a hierarchy: the shaders' traversal keeps an entry per level and has room for 32; the size of the
 /// host's stack follows from this.
-pub const MOST_LEVELS: usize = 31;
+pub const MAX_LEVELS: usize = 31;
 /// Triangles of a leaf: as many as a compressed node can hold.
 const LEAF: u32 = 3;
 /// Boxes from which on work is shared between threads.
@@ -47,12 +47,12 @@ pub fn build(triangles: Vec<Triangle>) -> CwBvh {
         bvh2_to_cwbvh(&binary, LEAF, true, false)
     };
     let best = packed(HEURISTIC_LEVELS);
-    if levels(&best) <= MOST_LEVELS {
+    if levels(&best) <= MAX_LEVELS {
         return best;
     }
     // Boxes without area, which obvhs does not pack: nearly all triangles in one place. Halving n boxes takes log2 n
     // levels.
-    packed(MOST_LEVELS - boxes.len().next_power_of_two().ilog2() as usize)
+    packed(MAX_LEVELS - boxes.len().next_power_of_two().ilog2() as usize)
 }
 
 /// Levels of a packed hierarchy.
@@ -335,7 +335,7 @@ mod tests {
             let mut found = vec![false; triangles.len()];
             bvh.primitive_indices.iter().for_each(|&t| found[t as usize] = true);
             assert!(found.iter().all(|found| *found), "case {case}");
-            assert!(levels(&bvh) <= MOST_LEVELS, "case {case}: {}", levels(&bvh));
+            assert!(levels(&bvh) <= MAX_LEVELS, "case {case}: {}", levels(&bvh));
             bvh.validate(triangles, false);
         }
     }

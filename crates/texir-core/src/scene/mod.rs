@@ -7,7 +7,7 @@ mod wide;
 use std::sync::OnceLock;
 
 use glam::Vec3;
-pub use hierarchy::MOST_LEVELS;
+pub use hierarchy::MAX_LEVELS;
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 

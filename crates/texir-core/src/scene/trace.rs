@@ -19,16 +19,16 @@ pub struct TraceHit<R> {
     pub back: bool,
 }
 
-/// Relative bias of back-face hits, which count as BEHIND · (t + max |origin|) further: of two coincident triangles that
+/// Relative bias of back-face hits, which count as BACK_FACE_BIAS · (t + max |origin|) further: of two coincident triangles that
 /// face opposite ways (exporters' double-sided geometry), a ray meets the one that faces it, instead of whichever rounding
 /// favours. 0.08 mm at ten metres.
-pub const BEHIND: f64 = 1.0 / (1 << 17) as f64;
+pub const BACK_FACE_BIAS: f64 = 1.0 / (1 << 17) as f64;
 
 /// Something that finds the closest hit of a ray.
 pub trait Trace<R: Real>: Sync {
     /// The mesh that is traced.
     fn mesh(&self) -> &Mesh;
-    /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs count as [`BEHIND`]
+    /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs count as [`BACK_FACE_BIAS`]
     /// further.
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>>;
 }
@@ -56,16 +56,17 @@ pub fn intersect<R: Real>(
 }
 
 /// Tests every triangle: slow, free of any hierarchy, exact in its scalar.
-pub struct Exhaustive<'a>(pub &'a Mesh);
+pub struct BruteForce<'a>(pub &'a Mesh);
 
-impl<R: Real> Trace<R> for Exhaustive<'_> {
+impl<R: Real> Trace<R> for BruteForce<'_> {
     fn mesh(&self) -> &Mesh {
         self.0
     }
 
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>> {
         let size = origin.0.iter().map(|x| x.value().abs()).fold(0.0, f64::max);
-        let rank = |hit: &TraceHit<R>| hit.t.value() + if hit.back { BEHIND * (hit.t.value() + size) } else { 0.0 };
+        let rank =
+            |hit: &TraceHit<R>| hit.t.value() + if hit.back { BACK_FACE_BIAS * (hit.t.value() + size) } else { 0.0 };
         let mut best: Option<TraceHit<R>> = None;
         for triangle in 0..self.0.triangles.len() as u32 {
             let [a, b, c] = self.0.corners(triangle).map(|corner| V3::of(corner.to_array()));

@@ -11,8 +11,8 @@ use glam::Vec3A;
 use obvhs::aabb::Aabb;
 use obvhs::cwbvh::CwBvh;
 
-use super::hierarchy::MOST_LEVELS;
-use super::trace::{BEHIND, TraceHit, intersect};
+use super::hierarchy::MAX_LEVELS;
+use super::trace::{BACK_FACE_BIAS, TraceHit, intersect};
 use crate::mesh::Mesh;
 use crate::real::V3;
 use crate::surface::Hit;
@@ -20,7 +20,7 @@ use crate::surface::Hit;
 /// Children of a node.
 const WIDTH: usize = 8;
 /// Children that are on the stack at most: all but one of every level.
-const STACK_SIZE: usize = (WIDTH - 1) * MOST_LEVELS;
+const STACK_SIZE: usize = (WIDTH - 1) * MAX_LEVELS;
 /// Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
 /// Intersection tests round differently from slab tests, and boxes were rounded when they were packed: they are wider
@@ -155,7 +155,7 @@ impl WideBvh {
     }
 
     /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle; backs count as
-    /// [`BEHIND`] further.
+    /// [`BACK_FACE_BIAS`] further.
     pub fn closest(&self, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
@@ -179,7 +179,7 @@ impl WideBvh {
         let size = origin.0.into_iter().fold(0.0, |size: f32, x| size.max(x.abs()));
         let mut best = TraceHit { triangle: Hit::NONE, u: 0.0, v: 0.0, t: t_max, back: false };
         // How far it counts as.
-        let counted = |t: f32, back: bool| if back { t + BEHIND as f32 * (t + size) } else { t };
+        let counted = |t: f32, back: bool| if back { t + BACK_FACE_BIAS as f32 * (t + size) } else { t };
         let mut reach = counted(t_max, true);
         // The nearest on top.
         let mut stack = ArrayVec::<StackEntry, STACK_SIZE>::new();
@@ -303,7 +303,7 @@ mod tests {
     use crate::mesh::Mesh;
     use crate::rng::hash2;
     use crate::scene::Scene;
-    use crate::scene::trace::{Exhaustive, Trace};
+    use crate::scene::trace::{BruteForce, Trace};
     use glam::{EulerRot, Quat, Vec2, Vec3};
 
     /// Triangles of all sizes in a unit cube, some of them parallel to its sides.
@@ -338,7 +338,7 @@ mod tests {
     #[test]
     fn every_node_test_finds_what_an_exhaustive_search_finds() {
         let scene = scene();
-        let exact = Exhaustive(scene.mesh());
+        let exact = BruteForce(scene.mesh());
         let wide = WideBvh::new(&scene.bvh, scene.mesh());
         let mut hits = 0;
         for (origin, direction) in rays() {
@@ -416,7 +416,7 @@ mod tests {
                 + Vec3::new(7.0, -3.0, 5.0);
             let to = place((0.99 * unit(3), 0.99 * unit(4)));
             let (origin, direction) = (V3(from.to_array()), V3((to - from).normalize().to_array()));
-            let exhaustive = Trace::<f32>::closest(&Exhaustive(scene.mesh()), origin, direction).unwrap();
+            let exhaustive = Trace::<f32>::closest(&BruteForce(scene.mesh()), origin, direction).unwrap();
             let hit = scene.closest(origin, direction).unwrap();
             assert!(!hit.back && !exhaustive.back, "ray {i} from {from} to {to}");
             crossed[(i % 2) as usize] += u32::from(hit.triangle < 2);

@@ -33,7 +33,7 @@ const ANCHOR: f64 = 1e-6;
 const DARK: f32 = 1e-4;
 /// Views whose exposures seem to differ by less (see [`difference`]) are taken to be exposed alike: reflections alone
 /// make that of them.
-pub const ALIKE: f32 = 0.01;
+pub const MIN_DIFFERENCE: f32 = 0.01;
 /// Least cosine of the angle between a surface's normal and the view that exposures are told by.
 pub(crate) const MIN_COSINE: f32 = 0.4;
 

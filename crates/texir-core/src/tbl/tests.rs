@@ -311,7 +311,7 @@ fn the_unseen_half_of_a_dark_rim_does_not_shine_with_the_face() {
     assert!((0..2 * SIDES).all(|t| joined.part(t) == rim), "the rim is one part");
     assert!((2 * SIDES..3 * SIDES).all(|t| joined.part(t) == joined.part(2 * SIDES) && joined.part(t) != rim));
     // One texel in each triangle. Of the rim, the first quarter is seen.
-    let point = |triangle: u32| SurfacePoint { position: [0.0; 3], triangle, normal: [0.0; 3], sequence: triangle };
+    let point = |triangle: u32| SurfacePoint { position: [0.0; 3], triangle, normal: [0.0; 3], index: triangle };
     let count = mesh.triangles.len();
     let atlas = Atlas {
         width: count,

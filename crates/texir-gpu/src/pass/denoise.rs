@@ -3,10 +3,11 @@
 use bytemuck::{Pod, Zeroable};
 use texir_core::cpu;
 use texir_core::denoise::{
-    CELL, CHANCE, CURVATURE, GUIDE_RADIUS, MISS_RADIUS, NOISE_RADIUS, Noisy, RADIUS, RIDGE, SIGNIFICANT, TOLERANCE,
+    CELL, CURVATURE, GUIDE_RADIUS, LOSS_SIGMAS, NOISE_RADIUS, Noisy, RADIUS, RESIDUAL_RADIUS, RESIDUAL_THRESHOLD,
+    RIDGE, TOLERANCE,
 };
 use texir_core::error::Result;
-use texir_core::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
+use texir_core::neighbours::{Entry, FAR, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, Neighbours};
 use texir_core::progress::Progress;
 
 use super::WORKGROUP;
@@ -36,14 +37,14 @@ pub(crate) struct DenoiseParams {
     pub radius: f32,
     pub guide_radius: f32,
     pub noise_radius: f32,
-    pub miss_radius: f32,
+    pub residual_radius: f32,
     pub tolerance: f32,
     pub curvature: f32,
-    pub chance: f32,
-    pub significant: f32,
+    pub residual_threshold: f32,
+    pub loss_sigmas: f32,
     pub ridge: f32,
-    pub same_way: f32,
-    pub beside: f32,
+    pub min_normal_cosine: f32,
+    pub max_plane_distance: f32,
     pub tiny: f32,
 }
 
@@ -100,14 +101,14 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>, progress: &dyn Progress) 
                 radius: RADIUS,
                 guide_radius: GUIDE_RADIUS,
                 noise_radius: NOISE_RADIUS,
-                miss_radius: MISS_RADIUS,
+                residual_radius: RESIDUAL_RADIUS,
                 tolerance: TOLERANCE,
                 curvature: CURVATURE,
-                chance: CHANCE,
-                significant: SIGNIFICANT,
+                residual_threshold: RESIDUAL_THRESHOLD,
+                loss_sigmas: LOSS_SIGMAS,
                 ridge: RIDGE,
-                same_way: SAME_WAY,
-                beside: BESIDE,
+                min_normal_cosine: MIN_NORMAL_COSINE,
+                max_plane_distance: MAX_PLANE_DISTANCE,
                 tiny: f32::MIN_POSITIVE,
             });
             let mut resources = vec![("params", params.binding()), ("spans", spans.binding())];

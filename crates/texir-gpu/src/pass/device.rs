@@ -8,7 +8,7 @@ use texir_core::{backend, punctual};
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct ShadePoint {
     pub position: [f32; 3],
-    pub sequence: u32,
+    pub index: u32,
     pub normal: [f32; 3],
     pub pad0: f32,
     pub view: [f32; 3],
@@ -19,8 +19,8 @@ pub(crate) struct ShadePoint {
 
 impl From<&backend::ShadePoint> for ShadePoint {
     fn from(point: &backend::ShadePoint) -> Self {
-        let backend::ShadePoint { position, sequence, normal, view, irradiance } = *point;
-        Self { position, sequence, normal, view, irradiance, ..Self::zeroed() }
+        let backend::ShadePoint { position, index, normal, view, irradiance } = *point;
+        Self { position, index, normal, view, irradiance, ..Self::zeroed() }
     }
 }
 
@@ -47,21 +47,21 @@ pub(crate) struct Shaded {
     pub pad0: f32,
     pub specular_scale: [f32; 3],
     pub pad1: f32,
-    pub d_roughness: [f32; 3],
+    pub roughness_jacobian: [f32; 3],
     pub pad2: f32,
 }
 
 impl From<&backend::Shaded> for Shaded {
     fn from(shaded: &backend::Shaded) -> Self {
-        let backend::Shaded { radiance, specular_scale, d_roughness } = *shaded;
-        Self { radiance, specular_scale, d_roughness, ..Self::zeroed() }
+        let backend::Shaded { radiance, specular_scale, roughness_jacobian } = *shaded;
+        Self { radiance, specular_scale, roughness_jacobian, ..Self::zeroed() }
     }
 }
 
 impl From<Shaded> for backend::Shaded {
     fn from(shaded: Shaded) -> Self {
-        let Shaded { radiance, specular_scale, d_roughness, .. } = shaded;
-        Self { radiance, specular_scale, d_roughness }
+        let Shaded { radiance, specular_scale, roughness_jacobian, .. } = shaded;
+        Self { radiance, specular_scale, roughness_jacobian }
     }
 }
 

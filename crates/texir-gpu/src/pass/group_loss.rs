@@ -29,7 +29,7 @@ pub(crate) fn run(
     target: GroupTarget,
 ) -> Result<Loss<f32>> {
     let largest = groups.offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
-    if ctx.gpu.is_cpu() && largest > MOST_MEMBERS {
+    if ctx.gpu.is_software() && largest > MOST_MEMBERS {
         let mut gradient = vec![0.0; values.len()];
         let value = cpu::group_loss::group_loss(values, channels, groups, target, &mut gradient);
         return Ok(Loss { value, gradient });

@@ -7,7 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use texir_core::backend::{Gather, Gathered, Sequences};
 use texir_core::error::Result;
 use texir_core::progress::Progress;
-use texir_core::rng::along_hilbert_curve;
+use texir_core::rng::sort_by_hilbert;
 use texir_core::surface::SurfacePoint;
 
 use crate::batch::{Context, GatherShape, Gathering};
@@ -90,7 +90,7 @@ impl Gathering for Irradiance<'_> {
             width,
             sky_rows: self.geometry.sky.rows,
         });
-        let order = along_hilbert_curve(samples.clone().collect());
+        let order = sort_by_hilbert(samples.clone().collect());
         let order = ctx.pool.upload(&ctx.gpu, "sample order", &order)?;
         let own = [
             ("params", params.binding()),

@@ -2,7 +2,7 @@
 
 use super::*;
 
-const VARIANT: Variant = Variant { hierarchy: HierarchyStorage::Buffers, roughness: RoughnessGradient::Exact };
+const VARIANT: Variant = Variant { hierarchy: BvhStorage::Buffers, roughness: RoughnessGradient::Exact };
 
 fn message(sources: &[(&str, &str)]) -> String {
     match Library(sources).compose("pass", VARIANT) {
@@ -67,9 +67,9 @@ fn every_shader_on_disk_is_embedded() {
 #[test]
 fn variants_change_the_source() {
     let source = |hierarchy, roughness| SHADERS.compose("shade", Variant { hierarchy, roughness }).unwrap().source;
-    let base = source(HierarchyStorage::Buffers, RoughnessGradient::Exact);
-    assert_ne!(base, source(HierarchyStorage::Textures, RoughnessGradient::Exact));
-    assert_ne!(base, source(HierarchyStorage::Buffers, RoughnessGradient::Authors));
+    let base = source(BvhStorage::Buffers, RoughnessGradient::Exact);
+    assert_ne!(base, source(BvhStorage::Textures, RoughnessGradient::Exact));
+    assert_ne!(base, source(BvhStorage::Buffers, RoughnessGradient::Authors));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::authored::{self, Bounces, Model, Reflected, Surfaces, write_lightmapped_glb};
+use texir_core::authored::{self, BounceAlbedo, Bounces, Model, Surfaces, write_lightmapped_glb};
 use texir_core::backend::Backend;
 use texir_core::bake::{Texels, Workspace, keep_bounces_within};
 use texir_core::checkpoint::Checkpoints;
@@ -86,7 +86,7 @@ struct Summary {
     /// bounce brought no less light than the one before.
     remainder: Option<f64>,
     /// The same of the light of that part of the map which lacks most.
-    remainder_of_a_part: f64,
+    remainder_worst_region: f64,
 }
 
 /// Bakes the scene that `bake.input` is; `read` are all files that it is made of.
@@ -95,7 +95,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let tolerance = options.tolerance.unwrap_or(TOLERANCE);
     check_outputs(&[&bake.output.with_extension("glb")], read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
-    let reflected = if options.specular { Reflected::InAll } else { Reflected::Diffusely };
+    let reflected = if options.specular { BounceAlbedo::DiffuseAndSpecular } else { BounceAlbedo::Diffuse };
     let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
     let [width, height] = model.size;
     let workspace = match bake.max_memory {
@@ -118,13 +118,13 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     session.print(&summary, || {
         let bounces = summary.series.len() - 1;
         let left = match summary.remainder {
-            Some(of_all) => {
+            Some(total) => {
                 // Where light has only begun to arrive, how much more there will be is a guess.
-                let of_a_part = match summary.remainder_of_a_part {
+                let worst_region = match summary.remainder_worst_region {
                     share if share > 1.0 => "> 100".to_owned(),
                     share => format!("{:.1}", 100.0 * share),
                 };
-                format!(", {:.2} % left out ({of_a_part} % where most is)", 100.0 * of_all)
+                format!(", {:.2} % left out ({worst_region} % where most is)", 100.0 * total)
             }
             None if bounces > 0 => ", not converged".to_owned(),
             None => String::new(),
@@ -178,8 +178,8 @@ fn solve(
         texels: texels.valid(),
         buried: solved.solution.buried()?,
         rays: solved.solution.rays,
-        remainder: Some(solved.remainder.of_all).filter(|share| share.is_finite()),
-        remainder_of_a_part: solved.remainder.of_a_part,
+        remainder: Some(solved.remainder.total).filter(|share| share.is_finite()),
+        remainder_worst_region: solved.remainder.worst_region,
         series: solved.series,
     })
 }

@@ -30,7 +30,7 @@ impl Noisy {
         let radiance = Rgb { data, ..radiance };
         let mut floor = Atlas::new(&mut lit(&scene, &radiance), [SIDE, SIDE]).unwrap();
         floor.points.retain(|p| p.normal[2] > 0.0);
-        floor.texels = floor.points.iter().map(|p| p.sequence).collect();
+        floor.texels = floor.points.iter().map(|p| p.index).collect();
         let gather = Gather { cosine: 2048, ..GATHER };
         let gathered = lit(&scene, &radiance).irradiance(&floor.points, gather, &Silent).unwrap();
         let truth = gathered.iter().map(|g| luminance(&g.irradiance)).collect();

@@ -9,7 +9,7 @@ use super::PIECE;
 use crate::cpu::lanes::{LANES, Lanes};
 use crate::denoise::{Noisy, RADIUS};
 use crate::error::Result;
-use crate::neighbours::{BESIDE, Entry, FAR, Neighbours, SAME_WAY};
+use crate::neighbours::{Entry, FAR, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, Neighbours};
 use crate::progress::Progress;
 use crate::real::Real;
 
@@ -48,7 +48,7 @@ pub fn each<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
             let near = neighbours.around(own.cell).filter(near(neighbours.cell(own.cell), radius));
             around.lay_out(own.cell, near, |entry| {
                 let i = entry.index as usize;
-                (points[i].sequence as usize % LANES, apart[i], pass.told(i))
+                (points[i].index as usize % LANES, apart[i], pass.told(i))
             });
         }
         widest.dispatch(AtPoint { pass, own, is_apart: apart[own.index as usize], around, radius })
@@ -158,8 +158,8 @@ impl<R: Real, const TOLD: usize> Around<R, TOLD> {
             let (ax, ay, az) = (real(dx), real(dy), real(dz));
             let nearness = one - (ax * ax + ay * ay + az * az);
             let has_a_say = (square < radius * radius)
-                & (beside.abs() < BESIDE * radius)
-                & (facing > SAME_WAY)
+                & (beside.abs() < MAX_PLANE_DISTANCE * radius)
+                & (facing > MIN_NORMAL_COSINE)
                 & (apart[k] == is_apart)
                 & (nearness > none);
             // What is far away must not overflow in a product with no weight.

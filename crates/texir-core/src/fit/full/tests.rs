@@ -91,7 +91,7 @@ fn toy_of(material: impl Fn(usize) -> Material, height: f32) -> Toy {
             strata.push(
                 [ShadePoint {
                     position: point.position,
-                    sequence: strata.len() as u32,
+                    index: strata.len() as u32,
                     normal: [0.0, 0.0, 1.0],
                     view: to_camera.to_array(),
                     irradiance: irradiance[t].to_array(),

@@ -167,7 +167,7 @@ mod tests {
         let point = |t: usize| {
             let (x, y, z) = (t % SIDE, t / SIDE % SIDE, t / SIDE / SIDE);
             let position = [x as f32 * TEXEL, y as f32 * TEXEL, 0.1 * z as f32];
-            SurfacePoint { position, triangle: z as u32, normal: [0.0, 0.0, 1.0], sequence: t as u32 }
+            SurfacePoint { position, triangle: z as u32, normal: [0.0, 0.0, 1.0], index: t as u32 }
         };
         let texels = 2 * SIDE * SIDE;
         Atlas {

@@ -15,8 +15,8 @@ pub use self::full::{
 pub use self::paper::{
     OptimiserSettings, PaperSettings, ParameterSettings, StageOneSettings, StageThreeSettings, StageTwoSettings,
 };
-use crate::atlas::LARGEST_SIDE;
-use crate::backend::MOST_SAMPLES;
+use crate::atlas::MAX_SIDE;
+use crate::backend::MAX_SAMPLES;
 use crate::error::{Error, Result};
 
 /// Rays per texel at the least: two halves, whose difference tells the noise, of two kinds.
@@ -93,11 +93,11 @@ impl FitSettings {
     /// Checks every value; the error names the setting, its value and what is allowed.
     pub fn validate(&self) -> Result<()> {
         let checks = [
-            ("atlas_size", self.atlas_size as f32, self.atlas_size <= LARGEST_SIDE, "at most 16384"),
+            ("atlas_size", self.atlas_size as f32, self.atlas_size <= MAX_SIDE, "at most 16384"),
             (
                 "irradiance_samples",
                 self.irradiance_samples as f32,
-                self.irradiance_samples == 0 || (LEAST_RAYS..=MOST_SAMPLES).contains(&self.irradiance_samples),
+                self.irradiance_samples == 0 || (LEAST_RAYS..=MAX_SAMPLES).contains(&self.irradiance_samples),
                 "0, or 4 to 1048576",
             ),
             positive("emitter_ratio", self.emitter_ratio),

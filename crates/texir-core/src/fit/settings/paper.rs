@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::checks::{Check, at_least_one, not_negative, positive, share};
-use crate::backend::{MOST_SAMPLES, RoughnessGradient};
+use crate::backend::{MAX_SAMPLES, RoughnessGradient};
 
 /// Paper mode; defaults are the paper's where it states them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -153,7 +153,7 @@ impl PaperSettings {
             (
                 "paper.specular_samples",
                 self.specular_samples as f32,
-                (1..=MOST_SAMPLES).contains(&self.specular_samples),
+                (1..=MAX_SAMPLES).contains(&self.specular_samples),
                 "1 to 1048576",
             ),
             (

@@ -100,7 +100,7 @@ pub(super) mod tests {
             let (x, y) = ((t % SIDE) as f32 * TEXEL, (t / SIDE % SIDE) as f32 * TEXEL);
             let (position, normal) =
                 if t < SIDE * SIDE { ([x, y, 0.0], [0.0, 0.0, 1.0]) } else { ([x, 3.0, y], [0.0, -1.0, 0.0]) };
-            SurfacePoint { position, triangle: 0, normal, sequence: t as u32 }
+            SurfacePoint { position, triangle: 0, normal, index: t as u32 }
         };
         let texels = 2 * SIDE * SIDE;
         let beside = |t: usize| {
