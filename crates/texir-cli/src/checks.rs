@@ -13,7 +13,7 @@ pub fn check_folder(folder: &Path, inputs: &[PathBuf]) -> Result<(), Failure> {
     let inside = |input: &&PathBuf| input.exists() && input.parent().is_some_and(|parent| same(parent, folder));
     inputs.iter().find(inside).map_or(Ok(()), |input| {
         let input = input.file_name().unwrap_or_default().display();
-        Err(Failure::new(format!("{}: has {input} in it, which the output is made of", folder.display()))
+        Err(Failure::new(format!("{}: contains {input}, which this command reads", folder.display()))
             .help("give another folder, or one that does not exist yet"))
     })
 }
@@ -22,7 +22,7 @@ pub fn check_folder(folder: &Path, inputs: &[PathBuf]) -> Result<(), Failure> {
 pub fn check_outputs(outputs: &[&Path], inputs: &[impl AsRef<Path>]) -> Result<(), Failure> {
     for output in outputs {
         if inputs.iter().any(|input| same(output, input.as_ref())) {
-            return Err(Failure::new(format!("{}: the output would replace what it is made of", output.display()))
+            return Err(Failure::new(format!("{}: the output would replace an input", output.display()))
                 .help("give --output another name or folder"));
         }
         if output.is_dir() {

@@ -15,25 +15,25 @@ use crate::failure::Failure;
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Common options")]
 pub struct Common {
-    /// Where the passes run; `auto` takes a GPU where there is one [default: auto]
+    /// Device to compute on; `auto` prefers a GPU [default: auto]
     #[arg(long, global = true, value_enum)]
     pub backend: Option<BackendChoice>,
     /// Use the GPU adapter whose name contains NAME
     #[arg(long, global = true, value_name = "NAME")]
     pub adapter: Option<String>,
-    /// Seed of everything random; the same seed gives the same result on the same adapter [default: 0]
+    /// Random seed; equal seeds give equal results on the same adapter [default: 0]
     #[arg(long, global = true, value_name = "N")]
     pub seed: Option<u32>,
     /// Take settings from a TOML file, such as the settings.toml of an earlier fit
     #[arg(long, global = true, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Change one setting of the file, such as fit.full.alternations=0
+    /// Override one setting, such as fit.full.alternations=0; repeatable
     #[arg(long = "set", global = true, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Say more
+    /// Print more detail
     #[arg(short, long, global = true)]
     pub verbose: bool,
-    /// Say only what came out and what went wrong
+    /// Print only results, warnings and errors
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
     /// Print results as JSON on standard output
@@ -41,14 +41,14 @@ pub struct Common {
     pub json: bool,
 }
 
-/// Where the passes run.
+/// Device to compute on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BackendChoice {
-    /// A GPU where there is one; otherwise, and where a processor plays it, the CPU.
+    /// A hardware GPU if there is one, otherwise the CPU.
     #[default]
     Auto,
-    /// A GPU (a software adapter such as lavapipe counts), or an error.
+    /// A GPU, software adapters such as lavapipe included; fails without one.
     Gpu,
     /// The CPU.
     Cpu,
@@ -121,17 +121,17 @@ impl Config {
             Mode::Paper => "full",
         };
         let help = format!("leave it out, or choose that mode (--set 'fit.mode=\"{name}\"')");
-        self.refuse(|setting| setting == name, &format!("only --mode {name} reads this setting"), &help)
+        self.refuse(|setting| setting == name, &format!("this setting applies only to --mode {name}"), &help)
     }
 
     /// The same of a command that fits in every mode.
     pub fn check_set_of_all_modes(&self) -> Result<(), Failure> {
-        self.refuse(|setting| setting == "mode", "this command fits in every mode", "leave it out")
+        self.refuse(|setting| setting == "mode", "this command runs every mode", "leave it out")
     }
 
     /// The same of a command that fits nothing.
     pub fn check_set_without_fit(&self) -> Result<(), Failure> {
-        let why = "this command fits nothing, and does not read this setting";
+        let why = "this command runs no fit and ignores this setting";
         self.refuse(|setting| setting != "seed", why, "leave it out; --help lists what this command has instead")
     }
 

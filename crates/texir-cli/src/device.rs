@@ -66,12 +66,12 @@ fn find_gpu(config: &Config, console: &Console) -> Result<Option<Gpu>, Failure> 
     let adapter = config.adapter.as_deref();
     match (config.backend, headless(adapter, console)) {
         (BackendChoice::Auto, Ok(gpu)) if gpu.is_software() && adapter.is_none() => {
-            console.detail("the only adapter that serves is a processor playing a GPU: the CPU backend traces faster");
+            console.detail("the only adapter is a software GPU; using the CPU backend, which is faster");
             Ok(None)
         }
         (_, Ok(gpu)) => Ok(Some(gpu)),
         (BackendChoice::Auto, Err(error)) if adapter.is_none() => {
-            console.note(&format!("{error}: the passes run on the CPU, which gives the same results"));
+            console.note(&format!("{error}; using the CPU backend (same results up to rounding)"));
             Ok(None)
         }
         (_, Err(error)) if adapter.is_some() => Err(Failure::from(error).help("name one that is there, or leave --adapter out; where there is none, install a Vulkan driver")),

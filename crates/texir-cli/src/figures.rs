@@ -27,25 +27,25 @@ pub const FIGURES: [Figure; 7] = [
     row("Roughness in novel views", true, |t| t.novel.roughness),
 ];
 
-/// The table as text: the result, and beside it the ceiling where it is known.
+/// The table as text: the result, and beside it that of the true materials where they are known.
 pub fn text(evaluation: &Evaluation) -> String {
-    let ceiling = evaluation.ceiling.as_ref();
+    let true_materials = evaluation.true_materials.as_ref();
     let head = "   PSNR    SSIM     MSE";
-    let mut lines = vec![format!("{:<32}{head}{}", "", if ceiling.is_some() { "  |" } else { "" })];
-    if ceiling.is_some() {
+    let mut lines = vec![format!("{:<32}{head}{}", "", if true_materials.is_some() { "  |" } else { "" })];
+    if true_materials.is_some() {
         lines[0] += &format!("{head}  (true materials, same light)");
     }
     let figures = |s: Score| format!("{:>7.2}{:>8.4}{:>8.4}", s.psnr, s.ssim, s.mse);
     for figure in &FIGURES {
         let Some(score) = (figure.of)(&evaluation.result) else { continue };
         let mut line = format!("{:<32}{}", figure.name, figures(score));
-        if let Some(score) = ceiling.and_then(figure.of) {
+        if let Some(score) = true_materials.and_then(figure.of) {
             line += &format!("  |{}", figures(score));
         }
         lines.push(line);
     }
-    if ceiling.is_none() {
-        lines.push("The capture has no true textures: no ceiling is known.".to_owned());
+    if true_materials.is_none() {
+        lines.push("The capture has no true textures: there are no scores of true materials.".to_owned());
     }
     lines.join("\n")
 }

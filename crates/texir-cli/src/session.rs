@@ -42,11 +42,11 @@ impl Session<'_> {
 
     /// What becomes of kept steps after an error: it is said where they are when a run was stopped; nothing stays where
     /// none is kept.
-    pub fn goes_on(&self, failure: &Failure, checkpoints: &Checkpoints, partial: &Path) {
+    pub fn note_resume(&self, failure: &Failure, checkpoints: &Checkpoints, partial: &Path) {
         if !checkpoints.any() {
             checkpoints.clone().finish();
         } else if failure.interrupted() {
-            self.console.note(&format!("{:>24}  {}", "to go on, run it again", partial.display()));
+            self.console.note(&format!("{:>24}  {}", "run again to resume", partial.display()));
         }
     }
 }

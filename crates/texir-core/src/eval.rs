@@ -5,7 +5,7 @@
 //! the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to 0 on both
 //! sides. Images are box-filtered over the pixel; true albedo and roughness are those at its centre, as renderers write
 //! them, and so are the recovered ones that they are compared with. Where the capture has true textures, they go
-//! through the same lookup, light and renderer: the ceiling of the protocol.
+//! through the same lookup, light and renderer.
 
 use serde::{Deserialize, Serialize};
 
@@ -114,7 +114,7 @@ pub struct ViewScores {
     /// The result.
     pub result: Scores,
     /// True materials under the same light, where the capture has them.
-    pub ceiling: Option<Scores>,
+    pub true_materials: Option<Scores>,
 }
 
 /// What `metrics.json` holds.
@@ -125,7 +125,7 @@ pub struct Evaluation {
     /// The result.
     pub result: Table,
     /// True materials under the same light, where the capture has them: what the protocol can reach.
-    pub ceiling: Option<Table>,
+    pub true_materials: Option<Table>,
     /// View by view.
     pub views: Vec<ViewScores>,
 }
@@ -184,7 +184,7 @@ pub fn evaluate(
         let (albedo, roughness) = (read_rgb(&truth.albedo)?, read_gray(&truth.roughness)?);
         Ok(Textures { albedo, roughness, metallic: None, ..textures.clone() })
     };
-    // Textures of one atlas, looked up by the coordinates of another, would be no ceiling.
+    // Textures of one atlas, looked up by the coordinates of another, would be no true materials.
     let difference = capture.truth.as_ref().and_then(|_| renderer.mesh().atlas_difference(&capture.mesh));
     if let Some(difference) = &difference {
         progress.warn(&format!(
@@ -197,15 +197,16 @@ pub fn evaluate(
     let task = Task::start(progress, "evaluating", rays, "rays");
     let unit = shown_in(renderer.unit());
     let mut result = Subject::new(renderer, capture, textures, progress)?;
-    let mut ceiling = truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
+    let mut true_materials =
+        truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
     for view in &capture.views {
         let observed = Observed::load(view, unit, progress)?;
-        let mut rendered = match &mut ceiling {
-            Some(ceiling) => {
-                let each = [&result.textures, &ceiling.textures];
+        let mut rendered = match &mut true_materials {
+            Some(true_materials) => {
+                let each = [&result.textures, &true_materials.textures];
                 let [rendered, mut best] = renderer.render_each(&view.camera, each, progress)?;
                 scale(&mut best, unit);
-                ceiling.evaluate(renderer, view, &observed, best)?;
+                true_materials.evaluate(renderer, view, &observed, best)?;
                 rendered
             }
             None => renderer.render(&view.camera, &result.textures, progress)?,
@@ -228,7 +229,7 @@ pub fn evaluate(
     Ok(Evaluation {
         samples: renderer.rays_per_pixel(),
         result: result.table(capture),
-        ceiling: ceiling.as_ref().map(|c| c.table(capture)),
+        true_materials: true_materials.as_ref().map(|c| c.table(capture)),
         views: capture
             .views
             .iter()
@@ -237,7 +238,7 @@ pub fn evaluate(
                 name: view.name.clone(),
                 split: view.split,
                 result: result.views[i],
-                ceiling: ceiling.as_ref().map(|c| c.views[i]),
+                true_materials: true_materials.as_ref().map(|c| c.views[i]),
             })
             .collect(),
     })

@@ -78,7 +78,7 @@ impl GpuBackend {
 }
 
 fn lighting_of(lighting: &Option<Lighting>) -> Result<&Lighting> {
-    lighting.as_ref().ok_or_else(|| Error::invalid("no texture-based lighting was set"))
+    lighting.as_ref().ok_or_else(|| Error::invalid("no lighting is set: call Backend::set_tbl first"))
 }
 
 /// Checks that items can be counted in 32 bits.

@@ -110,7 +110,7 @@ impl Gpu {
             required_limits: required_limits(adapter),
             ..Default::default()
         }))
-        .map_err(|e| Error::device(format!("the adapter {:?} gives no device: {e}", adapter.get_info().name)))?;
+        .map_err(|e| Error::device(format!("cannot create a device on adapter {:?}: {e}", adapter.get_info().name)))?;
         Self::from_device(device, queue)
     }
 
@@ -123,7 +123,7 @@ impl Gpu {
         match missing(&device.limits()) {
             None => Ok(Self { device, queue, info, rejected_adapters: Arc::default(), kernels: Arc::default() }),
             Some(what) => Err(Error::device(format!(
-                "the device of {:?} is too small: {what}; ask for texir_gpu::required_limits when it is made",
+                "the limits of device {:?} are too low: {what}; request texir_gpu::required_limits",
                 info.name
             ))),
         }
@@ -248,7 +248,7 @@ fn preference(kind: wgpu::DeviceType) -> u8 {
 fn no_adapter(wanted: Option<&str>, found: &[String]) -> Error {
     match wanted {
         Some(name) if !found.is_empty() => {
-            Error::device(format!("no graphics adapter is named like {name:?}; there are: {}", found.join(", ")))
+            Error::device(format!("no graphics adapter matches {name:?}; available: {}", found.join(", ")))
         }
         _ => Error::device("no graphics adapter was found"),
     }

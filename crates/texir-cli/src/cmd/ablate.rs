@@ -128,7 +128,7 @@ impl Ablate {
                 },
             });
         }
-        let truth = match (ceiling(outcomes), &albedo, &roughness) {
+        let truth = match (true_materials(outcomes), &albedo, &roughness) {
             (Some(table), Some(albedo), Some(roughness)) => {
                 let (albedo, roughness) = (Picture::linear(albedo)?, Picture::values(roughness)?);
                 Some((table, Pictures { albedo, roughness, error: None }))
@@ -184,8 +184,8 @@ impl Ablate {
 }
 
 /// What true materials reach, under the light of any variant that tells.
-fn ceiling(outcomes: &[Outcome]) -> Option<Table> {
-    outcomes.iter().find_map(|outcome| outcome.evaluation.ceiling)
+fn true_materials(outcomes: &[Outcome]) -> Option<Table> {
+    outcomes.iter().find_map(|outcome| outcome.evaluation.true_materials)
 }
 
 /// A line per variant: PSNR and SSIM of the protocol's rows, and last what true materials reach.
@@ -193,8 +193,8 @@ fn table(outcomes: &[Outcome]) -> String {
     let shown = || FIGURES.iter().filter(|figure| !figure.minor);
     let head: String = shown().map(|figure| format!("{:>30}", figure.name)).collect();
     let mut lines = vec![format!("{:<18}{head}", "")];
-    let ceiling = ceiling(outcomes).map(|table| ("true materials", table));
-    for (name, table) in outcomes.iter().map(|o| (o.name, o.evaluation.result)).chain(ceiling) {
+    let true_materials = true_materials(outcomes).map(|table| ("true materials", table));
+    for (name, table) in outcomes.iter().map(|o| (o.name, o.evaluation.result)).chain(true_materials) {
         let score = |figure: &figures::Figure| match (figure.of)(&table) {
             Some(score) => format!("{:>21.2} / {:.4}", score.psnr, score.ssim),
             None => format!("{:>30}", "-"),

@@ -37,28 +37,28 @@ pub struct Bake {
     /// HDR texture: the radiance that leaves every texel of the mesh
     #[arg(long, value_name = "FILE")]
     tbl: Option<PathBuf>,
-    /// Irradiance map (.exr, .hdr or .ktx2): ∫ L cosθ dω in full, not divided by π unless --profile says so; of an
-    /// authored scene, the scene with the map's coordinates goes beside it, as NAME.glb
+    /// Irradiance map (.exr, .hdr or .ktx2): E = ∫ L cosθ dω, divided by π only with some --profile; for an authored
+    /// scene, NAME.glb with the lightmap UVs is written beside it
     #[arg(short, long, value_name = "FILE", default_value = "irradiance.exr")]
     output: PathBuf,
     /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
     #[arg(long, value_name = "N", value_parser = side())]
     size: Option<usize>,
-    /// Rays per texel, at most with --error: half of them cosine-distributed, half towards the light sources; rounded
-    /// up to a multiple of four unless --no-denoise
+    /// Rays per texel (a maximum with --error): half cosine-distributed, half towards lights; rounded up to a multiple of
+    /// 4 (2 with --cosine-only) unless --no-denoise is used without --error and --error-map
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = rays())]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
     #[arg(long, value_name = "SHARE", value_parser = share_of_luminance)]
     error: Option<f32>,
-    /// Write the standard error of every texel's luminance, before denoising, as NAME_stderr.exr beside the map
+    /// Write the standard error of every texel's luminance, before denoising, as NAME_error.exr beside the map
     #[arg(long)]
-    stderr: bool,
-    /// Send all rays cosine-distributed: noisier near small lamps, free of any knowledge about them; best with
-    /// --no-denoise, as denoising takes some of what few rays find
+    error_map: bool,
+    /// Do not aim rays at light sources: noisier near small lamps; best with --no-denoise, since denoising removes some of
+    /// the light that few rays find
     #[arg(long)]
     cosine_only: bool,
-    /// Leave the noise in: unbiased, for measuring and for many rays
+    /// Skip denoising: unbiased, for measurements or high --spp
     #[arg(long)]
     no_denoise: bool,
     /// Denoise with Intel's Open Image Denoise, which sees the map as a picture, instead of with neighbours on the
@@ -66,15 +66,15 @@ pub struct Bake {
     #[cfg(feature = "oidn")]
     #[arg(long, conflicts_with_all = ["no_denoise", "max_memory"])]
     oidn: bool,
-    /// Give texels just inside other geometry (the rim of a floor under a cupboard) their lit neighbour's value, so
-    /// that they do not darken what is seen beside them
+    /// Fill up to four texels inside other geometry (floor under a cupboard) from lit neighbours, so that filtering does
+    /// not bleed dark into visible texels
     #[arg(long)]
     fill_buried: bool,
-    /// What the bake may have in memory, such as 2GiB; a larger map is baked in parts, with scratch files beside the
-    /// output, to the same bits [default: all that the map needs]
+    /// Memory limit, such as 2GiB; larger maps are baked in parts, through scratch files beside the output, with
+    /// identical results [default: unlimited]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     max_memory: Option<ByteSize>,
-    /// The engine that is to read the map: what its texels hold (docs/baking.md) [default: irradiance in full]
+    /// Target engine; decides whether a texel holds E or E/π (docs/baking.md) [default: E]
     #[arg(long, value_enum)]
     profile: Option<Engine>,
     #[command(flatten)]
@@ -133,13 +133,13 @@ impl Bake {
         }
         if let Some(option) = self.authored.given() {
             return Err(Failure::new(format!(
-                "{option} is for authored scenes alone; a capture's HDR texture has all its light"
+                "{option} applies only to authored scenes; a capture's HDR texture already contains all light"
             ))
             .help("leave it out"));
         }
         if matches!(self.profile, Some(Engine::Moz)) {
             return Err(Failure::new(
-                "--profile moz attaches the map to the .glb of an authored scene; of captures and with --tbl, none is written",
+                "--profile moz needs an authored scene, to whose .glb it attaches the map; captures and --tbl write no .glb",
             )
             .help("leave it out: a texel holds the same without it; or bake the .glb of the fit"));
         }
@@ -165,7 +165,7 @@ impl Bake {
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;
         let summary = self
             .bake(backend.as_mut(), texels, &quality, &checkpoints, session)
-            .inspect_err(|failure| session.goes_on(failure, &checkpoints, &self.partial()))?;
+            .inspect_err(|failure| session.note_resume(failure, &checkpoints, &self.partial()))?;
         checkpoints.finish();
         let Summary { texels: valid, rays, .. } = summary;
         session.print(&summary, || {
@@ -217,21 +217,21 @@ impl Bake {
         })
     }
 
-    /// Errors where the map, or what `--stderr` writes, would replace what it is made of.
+    /// Errors where the map, or what `--error-map` writes, would replace what it is made of.
     fn check_outputs(&self, inputs: &[impl AsRef<Path>]) -> Result<(), Failure> {
         check_outputs(&[&self.output], inputs)?;
-        if self.stderr { check_outputs(&[&self.standard_error()], inputs) } else { Ok(()) }
+        if self.error_map { check_outputs(&[&self.standard_error()], inputs) } else { Ok(()) }
     }
 
     /// How many rays, and what becomes of their noise.
     fn quality(&self, session: &Session<'_>) -> Quality {
         // Two halves of each kind of rays, where noise is told from what they differ by.
         let kinds = if self.cosine_only { 1 } else { 2 };
-        let halved = self.error.is_some() || self.stderr || !self.no_denoise;
+        let halved = self.error.is_some() || self.error_map || !self.no_denoise;
         let rays = if halved { self.spp.next_multiple_of(2 * kinds) } else { self.spp };
         let light = if self.cosine_only { 0 } else { rays / 2 };
         let gather = Gather::new(rays - light, light, session.config.fit.seed);
-        let error = self.error.or(self.stderr.then_some(0.0));
+        let error = self.error.or(self.error_map.then_some(0.0));
         Quality { gather, error, denoise: self.denoiser() }
     }
 
@@ -244,7 +244,7 @@ impl Bake {
         (!self.no_denoise).then_some(Denoiser::Regression)
     }
 
-    /// Writes the map, and what `--stderr` asks for, some rows at a time.
+    /// Writes the map, and what `--error-map` asks for, some rows at a time.
     fn write(&self, solution: &Solution, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
         let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
         let ends_at_half = self.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ktx2"));
@@ -256,8 +256,7 @@ impl Bake {
             let irradiance = solution.map_rows(texels, self.buried(), rows)?;
             if let Some(i) = irradiance.iter().position(|e| !e.iter().all(|v| v.is_finite())) {
                 return Err(Error::invalid(format!(
-                    "the light that arrives at the texel in column {}, row {} is too strong for numbers: {:?}; expected radiance below \
-                     some 1e30",
+                    "irradiance overflows at the texel in column {}, row {}: {:?}; expected radiance below about 1e30",
                     i % size[0],
                     first + i / size[0],
                     irradiance[i]
@@ -266,8 +265,8 @@ impl Bake {
             let texels: Vec<[f32; 3]> = irradiance.into_iter().map(|e| e.map(|v| v * scale)).collect();
             if ends_at_half && texels.iter().flatten().any(|v| *v > BRIGHTEST_HALF) {
                 console.warn(&format!(
-                    "{}: some texels are brighter than {BRIGHTEST_HALF}, where the half floats of .ktx2 end, and take that; write \
-                     .exr, or scale the scene's light down",
+                    "{}: some texels exceed {BRIGHTEST_HALF}, the maximum of .ktx2 half floats, and are clamped to it; write .exr, \
+                     or scale the scene's light down",
                     self.output.display()
                 ));
             }
@@ -282,18 +281,18 @@ impl Bake {
         }))
     }
 
-    /// Writes what `--stderr` asks for, in the unit of the map.
+    /// Writes what `--error-map` asks for, in the unit of the map.
     fn write_standard_error(&self, errors: ImageRows<'_, 1>) -> Result<(), Failure> {
-        if self.stderr {
+        if self.error_map {
             write_gray(self.standard_error(), errors)?;
         }
         Ok(())
     }
 
-    /// Where `--stderr` writes.
+    /// Where `--error-map` writes.
     fn standard_error(&self) -> PathBuf {
         let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
-        self.output.with_file_name(format!("{stem}_stderr.exr"))
+        self.output.with_file_name(format!("{stem}_error.exr"))
     }
 
     /// Where the results so far lie while the bake runs: beside the output.

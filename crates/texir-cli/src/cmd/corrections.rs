@@ -13,14 +13,13 @@ use crate::session::Session;
 /// Corrections of the training views.
 #[derive(Debug, Args)]
 pub struct CorrectionArgs {
-    /// Correct errors of the training views' poses first, where they show other things of the mesh than other views do
+    /// First correct the poses of training views that are misaligned with the other views
     #[arg(long)]
     refine_poses: bool,
-    /// Bring the training views to one exposure and white balance first, if they differ by 1 % or more
+    /// First match the training views' exposure and white balance, if they differ by 1 % or more
     #[arg(long)]
     solve_exposure: bool,
-    /// Undo the blur of the training views' images first, as wide as views of one surface from near and from far show
-    /// it to be
+    /// First sharpen the training images by the blur measured on surfaces seen from near and far
     #[arg(long)]
     sharpen: bool,
 }
@@ -41,9 +40,9 @@ impl CorrectionArgs {
             let differ = exposure::difference(scales.iter().map(|scale| scale.map(f32::ln)));
             let how = format!("exposures differ by {:.1} %, root mean square", 100.0 * differ.exp_m1());
             if differ < exposure::MIN_DIFFERENCE {
-                session.console.note(&format!(
-                    "{how}: no more than reflections make of equal ones, so the views stay as they are"
-                ));
+                session
+                    .console
+                    .note(&format!("{how}: within what reflections alone cause, so the views stay as they are"));
             } else {
                 session.console.note(&how);
                 for (view, scale) in training.iter_mut().zip(scales) {
@@ -70,9 +69,7 @@ impl CorrectionArgs {
             let stay = training.len() - moved;
             if stay > 0 {
                 let all = training.len();
-                session
-                    .console
-                    .note(&format!("{stay} of {all} views are in place, as far as can be told, and stay there"));
+                session.console.note(&format!("{stay} of {all} views show no measurable error and stay in place"));
             }
         }
         if self.sharpen {
@@ -91,10 +88,10 @@ impl CorrectionArgs {
         let Some(measured) = measured else {
             session
                 .console
-                .warn("--sharpen: too few surfaces with edges or texture are seen from near and from far; the views stay as they are");
+                .warn("--sharpen: too few textured surfaces are seen from both near and far to measure blur; the views stay as they are");
             return 0.0;
         };
-        let width = format!("a point spread of {measured:.2} square pixels beyond a pixel");
+        let width = format!("blur variance of {measured:.2} square pixels beyond a pixel's own");
         if measured < blur::SHARP {
             session.console.note(&format!("{width}: the images are sharp, and stay as they are"));
             return 0.0;

@@ -76,7 +76,7 @@ fn check_replaceable(folder: &Path) -> Result<(), Failure> {
         Ok(entries) => entries,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
         Err(e) => {
-            return Err(Failure::new(format!("{}: this is no folder that can be read: {e}", folder.display()))
+            return Err(Failure::new(format!("{}: not a readable folder: {e}", folder.display()))
                 .help("give another --output, or move it elsewhere: a folder of that name is made"));
         }
     };
@@ -88,7 +88,7 @@ fn check_replaceable(folder: &Path) -> Result<(), Failure> {
         (None, Some(missing)) if !names.is_empty() => format!("holds a capture without {missing}"),
         _ => return Ok(()),
     };
-    Err(Failure::new(format!("{}: {what}, which no demo has made", folder.display()))
+    Err(Failure::new(format!("{}: {what}, which `texir demo` did not write", folder.display()))
         .help("give another --output, or move it elsewhere: the folder would be replaced"))
 }
 

@@ -27,16 +27,16 @@ pub const RAYS: u32 = 256;
 #[derive(Debug, Args)]
 pub struct Eval {
     /// Output folder of `texir fit`
+    #[arg(value_name = "FIT")]
     out: PathBuf,
     /// Capture with the truth [default: the one that was fitted]
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
-    /// Compare through this mesh instead of the fit's, such as the true one where a scan was fitted: it must have the
-    /// same triangles and coordinates. The figures then say what the textures are worth, without what the scan's
-    /// geometry costs; metrics.json stays as it is
+    /// Evaluate with this mesh instead of the fit's, such as the true one behind a scan (same triangles and UVs): the
+    /// scores then exclude the scan's geometric error; metrics.json is not written
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
-    /// Rays per pixel, for its highlights; at least 96
+    /// Rays per pixel for highlights; raised to 96 if lower
     #[arg(long, default_value_t = RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
 }
@@ -58,7 +58,7 @@ impl Eval {
             if report.is_file() {
                 session
                     .console
-                    .note(&format!("{}: shows an earlier evaluation; `texir report` makes it anew", report.display()));
+                    .note(&format!("{}: shows an earlier evaluation; update it with `texir report`", report.display()));
             }
         }
         Ok(())
@@ -96,9 +96,7 @@ pub fn of_output(
 pub fn warn_of_rays(renderer: &Renderer<'_>, asked: u32, session: &Session<'_>) {
     let taken = renderer.rays_per_pixel();
     if taken > asked {
-        session
-            .console
-            .warn(&format!("--spp is {asked}, but highlights need {taken} rays per pixel at least, and take those"));
+        session.console.warn(&format!("--spp is {asked}, below the minimum; using {taken} rays per pixel"));
     }
 }
 

@@ -14,6 +14,7 @@ use crate::session::Session;
 #[derive(Debug, Args)]
 pub struct Export {
     /// Output folder of `texir fit`, whose textures may have been edited since
+    #[arg(value_name = "FIT")]
     out: PathBuf,
     /// The scene [default: scene.glb in the folder]
     #[arg(short, long, value_name = "FILE.glb")]

@@ -35,14 +35,13 @@ pub struct Fit {
     /// Folder for textures, scene.glb, metrics and report
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// How materials are found: the program's own way, or the paper's three stages [default: full]
+    /// Fitting method: texir's own or the paper's three stages [default: full]
     #[arg(long, value_name = "MODE")]
     mode: Option<Mode>,
-    /// Look for segments of bare metal, which takes twice the light samples; without, everything is a dielectric
+    /// Detect segments of bare metal (twice the light samples); otherwise everything is a dielectric
     #[arg(long)]
     metallic: bool,
-    /// What the fit may have in memory, such as 2GiB; views are read at a lower resolution to keep to it [default:
-    /// 8GiB]
+    /// Memory limit, such as 2GiB; views are read at reduced resolution to stay within it [default: 8GiB]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     max_memory: Option<ByteSize>,
     /// Leave out the evaluation and the report
@@ -114,7 +113,7 @@ pub fn evaluate(
     session: &Session<'_>,
 ) -> Result<Evaluation, Failure> {
     report::publish(out, output, capture, rays, session).inspect_err(|_| {
-        let what = format!("what is fitted is there; texir report {} evaluates it", out.display());
+        let what = format!("the fit is saved; run texir report {} to evaluate it", out.display());
         session.console.note(&format!("{:>24}  {what}", "not evaluated"));
     })
 }
@@ -131,7 +130,7 @@ pub fn write(staging: Staging, capture: &Capture, session: &Session<'_>) -> Resu
     let FitResult { textures, confidence, tbl, plan, timings } =
         fit::fit(backend.as_mut(), capture, fitting, &checkpoints, session.console, &mut |epoch| log.push(*epoch))
             .map_err(Failure::from)
-            .inspect_err(|failure| session.goes_on(failure, &checkpoints, &partial))?;
+            .inspect_err(|failure| session.note_resume(failure, &checkpoints, &partial))?;
     let run = Run {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         capture: absolute(&capture.root),

@@ -22,10 +22,10 @@ pub struct Hdr {
     /// The linear image, OpenEXR
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// How the camera's values stand for light: estimate (from the shots), srgb, linear or gamma=2.2
+    /// Camera response: estimate (from the shots), srgb, linear or gamma=2.2
     #[arg(long, value_name = "CURVE", value_parser = response, default_value = "estimate")]
     response: ResponseChoice,
-    /// Frame times in the order of the shots, such as 1/1000,1/60,1/4: instead of EXIF, at one aperture and ISO
+    /// Exposure times in the order of the shots, such as 1/1000,1/60,1/4: instead of EXIF, at one aperture and ISO
     #[arg(long, value_name = "SECONDS", value_delimiter = ',')]
     times: Vec<Seconds>,
 }
@@ -79,7 +79,7 @@ impl Hdr {
         if 2 * ghosts > radiance.data.len() {
             let share = 100.0 * ghosts as f64 / radiance.data.len().max(1) as f64;
             return Err(Failure::new(format!(
-                "{share:.0} % of the pixels differ between the shots by more than their exposures do"
+                "{share:.0} % of the pixels differ between the shots by more than their exposures explain"
             ))
             .help("check --times against the order of the shots, --response against how they are encoded, and that all show the same"));
         }

@@ -15,23 +15,23 @@ use crate::session::Session;
 /// Arguments of `texir import`.
 #[derive(Debug, Args)]
 pub struct Import {
-    /// Folder of a capture app, COLMAP, nerfstudio, Blender, ...: `texir inspect` says what it is taken for
+    /// Folder written by a capture app, COLMAP, nerfstudio, Blender, ...; `texir inspect` shows the format it detects
     source: PathBuf,
     /// The capture folder to write; new or empty
-    #[arg(short, long, value_name = "FOLDER")]
+    #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Use this mesh instead of the folder's; in the frame of its cameras
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
     #[command(flatten)]
     source_args: SourceArgs,
-    /// Last resort for 8 and 16-bit images, whose lamps are clipped: srgb, linear or gamma=2.2
+    /// Decode 8 and 16-bit images (last resort, lamps are clipped): srgb, linear or gamma=2.2
     #[arg(long, value_name = "CURVE")]
     curve: Option<TransferCurve>,
-    /// Find semantic ids with this segmentation model, instead of those of the source (builds with `--features onnx`)
+    /// Compute semantic ids with this segmentation model, replacing the source's (builds with `--features onnx`)
     #[arg(long, value_name = "MODEL.onnx", requires = "classes")]
     segment: Option<PathBuf>,
-    /// What the model tells apart, in the order of its outputs: ade20k, coco, nyu40, or a JSON file
+    /// The model's classes in output order: ade20k, coco, nyu40, or a JSON file
     #[arg(long, value_name = "FILE", requires = "segment")]
     classes: Option<String>,
     /// Link to images that need no change, instead of copying them
@@ -42,10 +42,11 @@ pub struct Import {
 /// What the user knows better than the files.
 #[derive(Clone, Debug, Args)]
 pub struct SourceArgs {
-    /// Take the folder for this format, instead of detecting it
+    /// Read the folder as this format instead of detecting it: nerfstudio, colmap, blender, panoramas, gltf, matterport3d
+    /// or texir-authors
     #[arg(long, value_name = "NAME")]
     format: Option<String>,
-    /// The direction against gravity in the source: +z, -y, ... or X,Y,Z
+    /// Up direction in the source: +z, -y, ... or X,Y,Z
     #[arg(long, value_name = "AXIS", value_parser = direction, allow_hyphen_values = true)]
     up: Option<Vec3>,
     /// Length of the source's unit
@@ -54,14 +55,14 @@ pub struct SourceArgs {
     /// Reduce the mesh to about so many triangles, and give it a new atlas
     #[arg(long, value_name = "TRIANGLES")]
     decimate: Option<usize>,
-    /// Give the mesh a new atlas; without this, only where its own is missing or has overlaps
+    /// Always make a new atlas; by default only if the mesh has none or it overlaps
     #[arg(long)]
     unwrap: bool,
 }
 
 impl SourceArgs {
-    /// Something is said about the source: it is not to be taken as it is.
-    pub fn are_given(&self) -> bool {
+    /// Whether anything is said about the source: it is not to be taken as it is.
+    pub fn any_given(&self) -> bool {
         let Self { format, up, metres_per_unit, decimate, unwrap } = self;
         format.is_some() || up.is_some() || metres_per_unit.is_some() || decimate.is_some() || *unwrap
     }

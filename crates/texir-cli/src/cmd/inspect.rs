@@ -31,8 +31,8 @@ pub struct Inspect {
     capture: CaptureArgs,
     #[command(flatten)]
     source: SourceArgs,
-    /// Write every view with the mesh's edges drawn over it: where they lie beside the photo's, something is wrong
-    #[arg(long, value_name = "FOLDER")]
+    /// Write every view with the mesh's edges drawn over it; edges that miss the photo's show a wrong pose, scale or mesh
+    #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
 }
 
@@ -59,7 +59,7 @@ impl Inspect {
     /// A capture as every command loads it; other programs' files as they would be after an import.
     fn open(&self, session: &Session<'_>) -> Result<(Capture, Origin), Failure> {
         let FolderArgs { capture: folder, mesh } = &self.capture.folder;
-        if !self.source.are_given() && import::is_capture(folder)? {
+        if !self.source.any_given() && import::is_capture(folder)? {
             return Ok((self.capture.load(session)?, Origin::of_capture()));
         }
         let source = import::read(folder, &self.source.options(mesh.clone()), session.console)?;

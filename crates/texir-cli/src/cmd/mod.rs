@@ -26,12 +26,11 @@ use crate::session::Session;
 pub enum Command {
     /// Make a synthetic flat, path-trace it and fit it: everything at once, without any input
     Demo(demo::Demo),
-    /// Dry run: what is found in a capture (or in what import would make one of) and assumed of it, checks of cameras
-    /// and atlas, cost of a fit
+    /// Dry run: report what a capture (or files to import) contains, check cameras, images and atlas, estimate a fit's cost
     Inspect(inspect::Inspect),
     /// Merge bracketed exposures of one view to a linear image
     Hdr(hdr::Hdr),
-    /// Make a capture of what other programs write: COLMAP, nerfstudio, Blender, Matterport3D, lists of panoramas, ...
+    /// Convert other programs' output to a capture: COLMAP, nerfstudio, Blender, glTF, Matterport3D, lists of panoramas, ...
     Import(import::Import),
     /// Build the HDR texture (texture-based lighting) of a capture from its views
     Tbl(tbl::Tbl),
@@ -39,13 +38,13 @@ pub enum Command {
     Bake(bake::Bake),
     /// Fit materials to a capture: albedo, roughness, irradiance, a GLB, figures and a report
     Fit(fit::Fit),
-    /// Fit with parts of the method left out, and compare: what each is worth on a capture
+    /// Fit with parts of the method disabled and compare the results (ablation study)
     Ablate(ablate::Ablate),
     /// Render the result of a fit from other cameras
     Render(render::Render),
-    /// Compare the result of a fit with the truth, beside what true materials would reach
+    /// Compare a fit with ground truth, next to the scores of the true materials
     Eval(eval::Eval),
-    /// Write the scene of a fit anew, with its textures as they are now: after they were edited
+    /// Rewrite a fit's scene.glb from its current textures, after editing them
     Export(export::Export),
     /// Write one self-contained HTML page about a fit
     Report(report::Report),

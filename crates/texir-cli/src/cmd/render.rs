@@ -25,6 +25,7 @@ const MOST_STOPS: f32 = 60.0;
 #[derive(Debug, Args)]
 pub struct Render {
     /// Output folder of `texir fit`
+    #[arg(value_name = "FIT")]
     out: PathBuf,
     /// Cameras, equirectangular or pinhole, as nerfstudio's transforms.json; its images need not exist
     #[arg(long, value_name = "FILE")]
@@ -32,7 +33,7 @@ pub struct Render {
     /// Folder for one EXR (linear radiance) and one PNG (sRGB preview) per camera
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Rays per pixel, for its highlights; at least 96
+    /// Rays per pixel for highlights; raised to 96 if lower
     #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
     /// Brightness of the previews, in stops

@@ -20,11 +20,12 @@ use crate::session::Session;
 #[derive(Debug, Args)]
 pub struct Report {
     /// Output folder of `texir fit`
+    #[arg(value_name = "FIT")]
     out: PathBuf,
     /// Capture with the images and the truth [default: the one that was fitted]
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
-    /// Rays per pixel, for its highlights; at least 96
+    /// Rays per pixel for highlights; raised to 96 if lower
     #[arg(long, default_value_t = eval::RAYS, value_name = "N", value_parser = rays())]
     spp: u32,
 }

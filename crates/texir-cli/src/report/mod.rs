@@ -244,12 +244,12 @@ mod tests {
             evaluation: Evaluation {
                 samples: 256,
                 result: table(21.0),
-                ceiling: Some(table(24.5)),
+                true_materials: Some(table(24.5)),
                 views: vec![ViewScores {
                     name: "pano_000".into(),
                     split: Split::Train,
                     result: scores(21.0),
-                    ceiling: None,
+                    true_materials: None,
                 }],
             },
             textures: texture_figures(&textures, Some(&textures.roughness)).unwrap(),
@@ -292,11 +292,11 @@ mod tests {
     #[test]
     fn a_capture_without_truth_says_so() {
         let mut report = report();
-        report.evaluation.ceiling = None;
+        report.evaluation.true_materials = None;
         report.rooms = None;
         report.curves.clear();
         let html = page::html(&report);
-        assert!(html.contains("no ceiling is known") && !html.contains("true materials"));
+        assert!(html.contains("no scores of true materials") && !html.contains("true materials"));
         assert!(!html.contains("Floor plan") && !html.contains("Stage I"));
     }
 }

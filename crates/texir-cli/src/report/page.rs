@@ -49,8 +49,10 @@ fn tiles(page: &mut String, report: &Report) {
         let name = name.split(',').next().unwrap_or(name);
         push!(page, "<div class=\"card tile\"><div class=\"label\">{name}</div>");
         push!(page, "<div class=\"value\">{:.2}<small>dB</small></div>", score.psnr);
-        match evaluation.ceiling.as_ref().and_then(of) {
-            Some(ceiling) => push!(page, "<div class=\"beside\">true materials {:.2}</div>", ceiling.psnr),
+        match evaluation.true_materials.as_ref().and_then(of) {
+            Some(true_materials) => {
+                push!(page, "<div class=\"beside\">true materials {:.2}</div>", true_materials.psnr)
+            }
             None => push!(page, "<div class=\"beside\">SSIM {:.3}</div>", score.ssim),
         }
         page.push_str("</div>\n");
@@ -63,13 +65,13 @@ fn figures(page: &mut String, report: &Report) {
     page.push_str(
         "<div class=\"card scroll\"><table class=\"figures\">\n<thead><tr><th></th><th colspan=\"3\">Result</th>",
     );
-    if evaluation.ceiling.is_some() {
-        page.push_str("<th class=\"ceiling\" colspan=\"3\">True materials, same light</th>");
+    if evaluation.true_materials.is_some() {
+        page.push_str("<th class=\"true-materials\" colspan=\"3\">True materials, same light</th>");
     }
     page.push_str("</tr>\n<tr><th></th><th>PSNR, dB</th><th>SSIM</th><th>MSE</th>");
-    if evaluation.ceiling.is_some() {
+    if evaluation.true_materials.is_some() {
         page.push_str(
-            "<th class=\"ceiling\">PSNR, dB</th><th class=\"ceiling\">SSIM</th><th class=\"ceiling\">MSE</th>",
+            "<th class=\"true-materials\">PSNR, dB</th><th class=\"true-materials\">SSIM</th><th class=\"true-materials\">MSE</th>",
         );
     }
     page.push_str("</tr></thead>\n<tbody>\n");
@@ -78,14 +80,14 @@ fn figures(page: &mut String, report: &Report) {
         let class = if *minor { " class=\"minor\"" } else { "" };
         push!(page, "<tr{class}><th scope=\"row\">{name}</th>");
         push!(page, "<td class=\"strong\">{:.2}</td><td>{:.4}</td><td>{:.4}</td>", score.psnr, score.ssim, score.mse);
-        if let Some(ceiling) = &evaluation.ceiling {
-            match of(ceiling) {
+        if let Some(true_materials) = &evaluation.true_materials {
+            match of(true_materials) {
                 Some(s) => {
                     for (value, digits) in [(s.psnr, 2), (s.ssim, 4), (s.mse, 4)] {
-                        push!(page, "<td class=\"ceiling\">{value:.digits$}</td>");
+                        push!(page, "<td class=\"true-materials\">{value:.digits$}</td>");
                     }
                 }
-                None => page.push_str("<td class=\"ceiling\" colspan=\"3\"></td>"),
+                None => page.push_str("<td class=\"true-materials\" colspan=\"3\"></td>"),
             }
         }
         page.push_str("</tr>\n");
@@ -97,11 +99,11 @@ fn figures(page: &mut String, report: &Report) {
          page, clamp(x<sup>1/2.2</sup>, 0, 1); roughness as it is. PSNR is that of the mean squared error over views; {} \
          rays a pixel. {}</p>\n",
         evaluation.samples,
-        if evaluation.ceiling.is_some() {
-            "The true materials, seen through the same lighting, atlas and renderer, are the ceiling of what any fit to \
-             these inputs can be expected to reach."
+        if evaluation.true_materials.is_some() {
+            "True materials are rendered with the same lighting, atlas and renderer. A fit can exceed them in renderings, as \
+             fitted materials also compensate for errors in the lighting."
         } else {
-            "The capture has no true textures, so no ceiling is known."
+            "The capture has no true textures, so there are no scores of true materials."
         }
     );
 }
@@ -143,7 +145,7 @@ fn curves(page: &mut String, report: &Report) {
 }
 
 fn views(page: &mut String, report: &Report) {
-    page.push_str("<h2>Views</h2>\n<p class=\"note\">All pictures share one tone curve. Albedo is shown after the scale it is judged at.</p>\n");
+    page.push_str("<h2>Views</h2>\n<p class=\"note\">All pictures share one tone curve. Albedo is shown after the scaling used for its score.</p>\n");
     error_legend(page);
     page.push_str("<nav aria-label=\"Views\">");
     for (i, view) in report.views.iter().enumerate() {

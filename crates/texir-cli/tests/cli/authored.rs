@@ -56,7 +56,10 @@ fn an_authored_scene_is_baked_for_an_engine() {
     // Two unit squares a metre apart: the view factor is 0.2, so that direct light alone is πL · 0.2 on average.
     let direct = std::f32::consts::PI * 1000.0 * 0.2;
     assert!((direct..1.6 * direct).contains(&floor(&full)), "{} lux, {direct} of them directly", floor(&full));
-    assert!(summary["remainder"].as_f64().unwrap() <= 0.005 && summary["series"].as_array().unwrap().len() > 1);
+    assert!(
+        summary["remainder"].as_f64().unwrap() <= 0.005
+            && summary["irradiance_by_bounce"].as_array().unwrap().len() > 1
+    );
     assert!(folder.path().join("out/full.glb").is_file());
 
     for (profile, expected) in [
@@ -72,8 +75,8 @@ fn an_authored_scene_is_baked_for_an_engine() {
     }
     // Standard errors are in the unit of the map.
     let errors = |name: &str, profile: &[&str]| {
-        bake(name, &[&["--stderr", "--bounces", "0"], profile].concat());
-        let map = read_gray(folder.path().join("out").join(name.replace(".exr", "_stderr.exr"))).unwrap();
+        bake(name, &[&["--error-map", "--bounces", "0"], profile].concat());
+        let map = read_gray(folder.path().join("out").join(name.replace(".exr", "_error.exr"))).unwrap();
         map.data.iter().sum::<f32>()
     };
     let ratio = errors("a.exr", &[]) / errors("b.exr", &["--profile", "bevy"]);

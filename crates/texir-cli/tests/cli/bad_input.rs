@@ -247,7 +247,7 @@ fn outputs_that_would_replace_what_they_are_made_of() {
     let (cameras, mesh) = (capture.file("transforms.json"), capture.file("mesh.obj"));
     let [input, hdr, folder, of] = [&input, &image, &images, &cameras].map(|path| path.as_os_str());
     let o = OsStr::new;
-    let replaced = ["novel.exr", "would replace what it is made of", "another name"];
+    let replaced = ["novel.exr", "would replace an input", "another name"];
     keeps(&image, &[o("tbl"), input, o("-o"), hdr, o("--size"), o("16")], &replaced);
     keeps(&image, &[o("bake"), input, o("-o"), hdr, o("--size"), o("16"), o("--spp"), o("4")], &replaced);
     keeps(&image, &[o("hdr"), hdr, hdr, o("--times"), o("1,2"), o("-o"), hdr], &replaced);
@@ -259,9 +259,9 @@ fn outputs_that_would_replace_what_they_are_made_of() {
     write_png_labels(&mask, &Labels::new(WIDTH, HEIGHT, vec![255; WIDTH * HEIGHT]).unwrap()).unwrap();
     capture.edit(|document| document["frames"][0]["mask_path"] = "light_mask.png".into());
     let light = capture.file("light.exr");
-    let beside = ["light_mask.png", "would replace what it is made of"];
+    let beside = ["light_mask.png", "would replace an input"];
     keeps(&mask, &[o("tbl"), input, o("-o"), light.as_os_str(), o("--size"), o("16")], &beside);
-    let inside = ["in it, which the output is made of", "another folder"];
+    let inside = ["which this command reads", "another folder"];
     keeps(&image, &[o("inspect"), input, o("--overlay"), folder], &inside);
     let fitting = fit(&capture.path(), &capture.path(), &["--backend", "cpu", "--no-eval"]);
     keeps(&mesh, &fitting.iter().map(|argument| argument.as_os_str()).collect::<Vec<_>>(), &inside);

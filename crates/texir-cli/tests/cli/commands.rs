@@ -47,10 +47,10 @@ fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e} in {text}"))
 }
 
-/// Result and ceiling have all rows of the table, and true materials render better than anything else.
+/// Result and true materials have all rows of the table, and true materials render better than anything else.
 #[track_caller]
 fn assert_metrics(metrics: &Value) {
-    for table in ["result", "ceiling"] {
+    for table in ["result", "true_materials"] {
         for pointer in
             ["train/albedo/per_image", "train/albedo/global", "train/roughness", "train/image", "novel/image"]
         {
@@ -61,8 +61,8 @@ fn assert_metrics(metrics: &Value) {
         }
     }
     let psnr = |table: &str, of: &str| metrics.pointer(&format!("/{table}/train/{of}/psnr")).unwrap().as_f64().unwrap();
-    assert!(psnr("ceiling", "roughness") > psnr("result", "roughness"), "two epochs cannot find the truth");
-    assert!(psnr("ceiling", "image") > 20.0, "true materials render to {} dB", psnr("ceiling", "image"));
+    assert!(psnr("true_materials", "roughness") > psnr("result", "roughness"), "two epochs cannot find the truth");
+    assert!(psnr("true_materials", "image") > 20.0, "true materials render to {} dB", psnr("true_materials", "image"));
     assert_eq!(metrics["views"].as_array().unwrap().len(), VIEWS.len());
 }
 
@@ -532,14 +532,14 @@ fn a_bake_to_an_error_says_what_is_left_of_it() {
     let (input, output) = (capture.path(), capture.out("light.exr"));
     let bake = |spp: &str, error: &str| {
         let from = ["bake".as_ref(), input.as_os_str(), "-o".as_ref()];
-        let how = ["--size", "32", "--backend", "cpu", "--stderr", "--json", "--spp", spp, "--error", error]
+        let how = ["--size", "32", "--backend", "cpu", "--error-map", "--json", "--spp", spp, "--error", error]
             .map(AsRef::as_ref);
         let summary = json(&succeed(&[&from[..], &[output.as_os_str()], &how[..]].concat()).out);
         let texels = summary["texels"].as_f64().unwrap();
         (
             summary["rays"].as_f64().unwrap() / texels,
             read_rgb(&output).unwrap(),
-            read_gray(capture.out("light_stderr.exr")).unwrap(),
+            read_gray(capture.out("light_error.exr")).unwrap(),
         )
     };
     let (few, map, errors) = bake("1024", "0.2");
@@ -629,7 +629,7 @@ fn a_bake_within_a_budget_has_the_bits_of_one_without() {
     let bake = |output: &Path, more: &[&str]| {
         let from = ["bake".as_ref(), mesh.as_os_str(), "--tbl".as_ref(), texture.as_os_str()];
         // More texels than the budget allows at a time.
-        let how = ["--size", "768", "--spp", "4", "--stderr", "--fill-buried", "--backend", "cpu", "-o"];
+        let how = ["--size", "768", "--spp", "4", "--error-map", "--fill-buried", "--backend", "cpu", "-o"];
         let more: Vec<_> = more.iter().map(AsRef::as_ref).collect();
         run(&[&from[..], &how.map(AsRef::as_ref), &[output.as_os_str()], &more].concat())
     };
@@ -639,7 +639,7 @@ fn a_bake_within_a_budget_has_the_bits_of_one_without() {
         let said = bake(&parts, &["--max-memory", "105MiB"]);
         assert_eq!(said.code, Some(0), "{said:#?}");
         assert!(std::fs::read(&whole).unwrap() == std::fs::read(&parts).unwrap(), "{name} differs");
-        let errors = [whole, parts].map(|map| std::fs::read(map.with_file_name("map_stderr.exr")).unwrap());
+        let errors = [whole, parts].map(|map| std::fs::read(map.with_file_name("map_error.exr")).unwrap());
         assert!(errors[0] == errors[1], "errors of {name} differ");
     }
     let left = std::fs::read_dir(capture.out("parts")).unwrap().map(|entry| entry.unwrap().file_name());

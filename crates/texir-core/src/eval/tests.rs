@@ -124,7 +124,7 @@ fn evaluated_in(brightness: f32, change: impl Fn(&mut Textures)) -> Evaluation {
 #[test]
 fn the_truth_is_perfect_and_so_is_its_ceiling() {
     let evaluation = evaluated(|_| ());
-    for table in [evaluation.result, evaluation.ceiling.unwrap()] {
+    for table in [evaluation.result, evaluation.true_materials.unwrap()] {
         for scores in [table.train, table.novel] {
             assert!(scores.albedo.unwrap().global.psnr > 100.0, "{scores:?}");
             assert!(scores.roughness.unwrap().psnr > 100.0, "{scores:?}");
@@ -144,7 +144,7 @@ fn a_wrong_roughness_costs_what_it_is_off_by() {
         assert!(scores.albedo.unwrap().per_image.psnr > 100.0, "{scores:?}");
         assert!(scores.image.unwrap().psnr < 80.0, "{scores:?}");
     }
-    assert!(evaluation.ceiling.unwrap().train.roughness.unwrap().psnr > 100.0);
+    assert!(evaluation.true_materials.unwrap().train.roughness.unwrap().psnr > 100.0);
 }
 
 #[test]

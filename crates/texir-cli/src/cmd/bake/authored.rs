@@ -32,21 +32,21 @@ const BOUNCES: u32 = 64;
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Authored scenes (.glb, .gltf without --tbl)")]
 pub struct Authored {
-    /// Light from far away: an equirectangular panorama (.hdr, .exr), +Y up, +X in its centre
+    /// Environment map: equirectangular .hdr or .exr, +Y up, +X at the centre
     #[arg(long, value_name = "FILE")]
     environment: Option<PathBuf>,
-    /// Luminance that 1 in the environment stands for, nits
+    /// Luminance of an environment value of 1, in nits
     #[arg(long, value_name = "NITS", default_value_t = 1.0, requires = "environment", value_parser = not_negative)]
     environment_nits: f32,
-    /// Stop when further bounces would add less than this share of all light [default: 0.005]
+    /// Stop when further bounces would add less than this share of all light, and in 99 % of the map less than four times
+    /// this share of the local light [default: 0.005]
     #[arg(long, value_name = "SHARE", value_parser = not_negative)]
     tolerance: Option<f32>,
-    /// Stop after N bounces even so; 0 bakes direct light alone [default: 64]
+    /// Maximum number of bounces; 0 bakes direct light only [default: 64]
     #[arg(long, value_name = "N")]
     bounces: Option<u32>,
-    /// Let surfaces send on what they reflect specularly as well, as if it went everywhere: dielectrics 6 % more of the
-    /// light than their base colour. For scenes of `texir fit`, or where base colours are measured; without it surfaces
-    /// are Lambertian
+    /// Also bounce specular reflection, as if diffuse: adds 0.02 (rough) to 0.09 (smooth) to a dielectric's albedo. For
+    /// scenes of `texir fit` or measured base colours; without it surfaces are Lambertian
     #[arg(long)]
     specular: bool,
 }
@@ -81,12 +81,12 @@ struct Summary {
     buried: usize,
     rays: u64,
     /// Mean irradiance of the direct light and of every bounce, lux.
-    series: Vec<f64>,
-    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where the last
-    /// bounce brought no less light than the one before.
+    irradiance_by_bounce: Vec<f64>,
+    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where bounces do
+    /// not fall off.
     remainder: Option<f64>,
-    /// The same of the light of that part of the map which lacks most.
-    remainder_worst_region: f64,
+    /// The same of the local light, 99th percentile over squares of the map.
+    remainder_p99: f64,
 }
 
 /// Bakes the scene that `bake.input` is; `read` are all files that it is made of.
@@ -113,18 +113,18 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
     let light = Light { texels, surfaces, bounces };
     let summary = solve(backend.as_mut(), &model, light, &checkpoints, (bake, session))
-        .inspect_err(|failure| session.goes_on(failure, &checkpoints, &bake.partial()))?;
+        .inspect_err(|failure| session.note_resume(failure, &checkpoints, &bake.partial()))?;
     checkpoints.finish();
     session.print(&summary, || {
-        let bounces = summary.series.len() - 1;
+        let bounces = summary.irradiance_by_bounce.len() - 1;
         let left = match summary.remainder {
             Some(total) => {
                 // Where light has only begun to arrive, how much more there will be is a guess.
-                let worst_region = match summary.remainder_worst_region {
+                let worst_region = match summary.remainder_p99 {
                     share if share > 1.0 => "> 100".to_owned(),
                     share => format!("{:.1}", 100.0 * share),
                 };
-                format!(", {:.2} % left out ({worst_region} % where most is)", 100.0 * total)
+                format!(", {:.2} % of the light missing ({worst_region} % where it is worst)", 100.0 * total)
             }
             None if bounces > 0 => ", not converged".to_owned(),
             None => String::new(),
@@ -179,8 +179,8 @@ fn solve(
         buried: solved.solution.buried()?,
         rays: solved.solution.rays,
         remainder: Some(solved.remainder.total).filter(|share| share.is_finite()),
-        remainder_worst_region: solved.remainder.worst_region,
-        series: solved.series,
+        remainder_p99: solved.remainder.worst_region,
+        irradiance_by_bounce: solved.series,
     })
 }
 
@@ -196,7 +196,7 @@ fn prepare(
     let surfaces = model.surfaces(backend, &texels, environment)?;
     surfaces.check(&texels).context(bake.input.display())?;
     if surfaces.is_dark() {
-        return Err(Failure::new(format!("{}: nothing in it shines", bake.input.display())).help(
+        return Err(Failure::new(format!("{}: the scene has no light sources", bake.input.display())).help(
             "give materials an emissive factor, add lights (KHR_lights_punctual), or an --environment panorama.hdr",
         ));
     }
