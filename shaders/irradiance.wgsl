@@ -28,7 +28,7 @@ struct IrradianceParams {
     // Samples of the whole gather, by technique: n_c, n_l and n_s.
     cosine_samples: u32,
     light_samples: u32,
-    sky_samples: u32,
+    environment_samples: u32,
     seed: u32,
     // Which stretch of its own sequences a point draws: sample 0 is their point part · n_c, part · n_l or part · n_s.
     part: u32,
@@ -37,7 +37,7 @@ struct IrradianceParams {
     // Texels in a row of the map whose blocks of MORTON_SIDE² texels share sequences; 0 where every point has its own.
     width: u32,
     // Rows of the environment with bright pixels.
-    sky_rows: u32,
+    environment_rows: u32,
 }
 
 // What was found at a point.
@@ -65,13 +65,13 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
     let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && is_black_behind(primitive));
-    let beyond = beyond_mesh(environment_towards(direction), cosine);
+    let beyond = environment_contribution(environment_towards(direction), cosine);
     return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
 }
 
 // L cosθ / (n_c cosθ/π + n_s p_s) of what arrives from the environment: radiance, and p_s.
-fn beyond_mesh(seen: vec4f, cosine: f32) -> vec3f {
-    return seen.rgb * (cosine / (f32(params.cosine_samples) * cosine * INV_PI + f32(params.sky_samples) * seen.a));
+fn environment_contribution(seen: vec4f, cosine: f32) -> vec3f {
+    return seen.rgb * (cosine / (f32(params.cosine_samples) * cosine * INV_PI + f32(params.environment_samples) * seen.a));
 }
 
 // The point that a thread works on.
@@ -174,7 +174,7 @@ fn gather_lights(
 }
 
 @compute @workgroup_size(WORKGROUP)
-fn gather_sky(
+fn gather_environment(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
@@ -183,12 +183,12 @@ fn gather_sky(
     let offset = vec2u(hash2(own.seed, 5u), hash2(own.seed, 6u));
     var sum = vec3f(0.0);
     for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
-        let sky = sky_sample(params.sky_rows, lattice2(own.stretch * params.sky_samples + sample_order[k], offset));
+        let sky = sample_environment(params.environment_rows, lattice2(own.stretch * params.environment_samples + sample_order[k], offset));
         let cosine = dot(own.point.normal, sky.direction);
         // A negative limit makes the traversal end at once for what is below the horizon.
         let hit = closest_hit(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0));
         if hit.primitive == MISS && cosine > 0.0 {
-            sum += beyond_mesh(vec4f(sky.radiance, sky.density), cosine);
+            sum += environment_contribution(vec4f(sky.radiance, sky.density), cosine);
         }
     }
     let total = sum_over_lanes(thread, own.lane, vec4f(sum, 0.0)).xyz;

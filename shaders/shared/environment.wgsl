@@ -40,7 +40,7 @@ struct SkySample {
 }
 
 // One of `rows` rows, a pixel in it, and a direction, uniform over the pixel's solid angle.
-fn sky_sample(rows: u32, u: vec2f) -> SkySample {
+fn sample_environment(rows: u32, u: vec2f) -> SkySample {
     var low = 0u;
     var high = rows - 1u;
     while low < high {

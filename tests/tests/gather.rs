@@ -96,10 +96,14 @@ fn many_samples_give_the_same_sum_in_every_shape() {
     {
         let gather = Gather::new(samples, samples / 2, 2);
         let expected = flat(&cpu.irradiance(&points, gather, &Silent).unwrap());
-        for (lanes, rays) in shapes {
-            backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
+        for (threads_per_item, rays_per_thread) in shapes {
+            backend.set_gather_shape(Some(GatherShape { threads_per_item, rays_per_thread })).unwrap();
             let got = flat(&backend.irradiance(&points, gather, &Silent).unwrap());
-            TRACED.check(&format!("{samples} samples, {lanes} lanes of {rays}"), &got, &expected);
+            TRACED.check(
+                &format!("{samples} samples, {threads_per_item} threads of {rays_per_thread}"),
+                &got,
+                &expected,
+            );
         }
         // Negative control: a hundredth of the samples lost would be noticed.
         let darker: Vec<f64> = expected.iter().map(|e| 0.99 * e).collect();
@@ -150,8 +154,8 @@ fn few_samples_give_the_same_sum_in_every_shape() {
     let (pixels, materials) = shading(&points);
     let sampling = Sampling { samples: 50, seed: 2 };
     let mut expected: Option<(Vec<f64>, Vec<f64>)> = None;
-    for (lanes, rays) in [(64, 32), (16, 4), (4, 3), (1, 1), (2, 64)] {
-        backend.set_gather_shape(Some(GatherShape { lanes, rays })).unwrap();
+    for (threads_per_item, rays_per_thread) in [(64, 32), (16, 4), (4, 3), (1, 1), (2, 64)] {
+        backend.set_gather_shape(Some(GatherShape { threads_per_item, rays_per_thread })).unwrap();
         let e = flat(&backend.irradiance(&points, Gather::new(50, 21, 2), &Silent).unwrap());
         let shaded = backend.shade(&pixels, &materials, sampling, RoughnessGradient::Exact, &Silent).unwrap();
         let l = shaded.iter().flat_map(|s| [s.radiance, s.specular_scale]).flatten().map(f64::from).collect();
@@ -160,9 +164,11 @@ fn few_samples_give_the_same_sum_in_every_shape() {
         let l: Vec<f64> = shaded.iter().flat_map(|s| [s.radiance, s.specular_scale]).flatten().map(f64::from).collect();
         ROUNDING.check("L_o and A", &l, expected_l);
     }
-    for shape in
-        [GatherShape { lanes: 48, rays: 4 }, GatherShape { lanes: 128, rays: 1 }, GatherShape { lanes: 8, rays: 0 }]
-    {
+    for shape in [
+        GatherShape { threads_per_item: 48, rays_per_thread: 4 },
+        GatherShape { threads_per_item: 128, rays_per_thread: 1 },
+        GatherShape { threads_per_item: 8, rays_per_thread: 0 },
+    ] {
         assert!(backend.set_gather_shape(Some(shape)).is_err(), "{shape:?}");
     }
 }

@@ -108,7 +108,7 @@ impl Environment {
 
     /// A direction to a bright pixel, and the pixel; uniform over the pixel's solid angle. What is left of the first
     /// number when row and pixel are chosen places the direction across the pixel.
-    pub fn bright_direction<R: Real>(&self, [u, v]: [f32; 2]) -> (V3<R>, usize) {
+    pub fn sample_environment<R: Real>(&self, [u, v]: [f32; 2]) -> (V3<R>, usize) {
         let BrightPixels { rows, pixels, .. } = &self.bright;
         let (row, rest) = sample_cdf(rows.len(), |i| rows[i].cdf, u);
         let first = if row > 0 { rows[row - 1].end as usize } else { 0 };
@@ -195,7 +195,7 @@ mod tests {
         const N: u32 = 4096;
         let mut count = 0;
         for i in 0..N {
-            let (direction, pixel) = sky.bright_direction::<f64>(crate::rng::sobol2(i, 5));
+            let (direction, pixel) = sky.sample_environment::<f64>(crate::rng::sobol2(i, 5));
             assert!((direction.dot(direction) - 1.0).abs() < 1e-12);
             assert_eq!(sky.pixel(direction), pixel);
             count += u32::from(pixel == 8 * 32 + 3);

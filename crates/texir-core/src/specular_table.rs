@@ -97,9 +97,9 @@ impl Curve {
 pub struct PackedCurve([u32; NODES]);
 
 impl PackedCurve {
-    /// Bits of a channel,
+    /// Bits of a channel.
     const BITS: i32 = 9;
-    /// and what is added to exponents as they are stored.
+    /// Added to exponents as they are stored.
     const BIAS: i32 = 15;
     /// The largest radiance that can be held.
     const MOST: f32 = 65408.0;

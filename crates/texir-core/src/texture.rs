@@ -279,9 +279,9 @@ impl Footprints {
 /// What of the atlas a pixel sees.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Footprint {
-    /// Where its centre lies,
+    /// Where its centre lies.
     pub uv: Vec2,
-    /// and how far from there one pixel further along x and along y; `None`: the centre alone is looked at.
+    /// Offsets of the pixels one further along x and along y; `None`: the centre alone is looked at.
     spread: Option<(Vec2, Vec2)>,
 }
 

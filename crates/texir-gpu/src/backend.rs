@@ -26,7 +26,7 @@ use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
     specular_table, texels,
 };
-use crate::scene::{BvhStorage, Geometry, Lighting, Sky};
+use crate::scene::{BvhStorage, EnvironmentMap, Geometry, Lighting};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend {
@@ -50,7 +50,7 @@ impl GpuBackend {
     /// 0, and rays then go wrong.
     pub fn with_bvh_storage(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: BvhStorage) -> Result<Self> {
         let scene = scene.into();
-        let geometry = gpu.guarded("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
+        let geometry = gpu.with_error_scopes("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);
         Ok(Self { scene, context, geometry, lighting: None, shape: None, cache: Default::default() })
     }
@@ -64,7 +64,7 @@ impl GpuBackend {
     /// Runs a pass. After an error nothing stays that was kept for the next: buffers may have failed to be made.
     fn pass<T>(&mut self, name: &str, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let gpu = self.context.gpu.clone();
-        let result = gpu.guarded(name, || work(self));
+        let result = gpu.with_error_scopes(name, || work(self));
         if result.is_err() {
             self.context.forget();
             self.cache = Default::default();
@@ -101,14 +101,16 @@ impl Backend for GpuBackend {
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         check::tbl(self.scene.mesh(), radiance, lights)?;
         let gpu = &self.context.gpu;
-        let lighting = gpu.guarded("uploading the lighting", || Lighting::new(gpu, &self.scene, radiance, lights))?;
+        let lighting =
+            gpu.with_error_scopes("uploading the lighting", || Lighting::new(gpu, &self.scene, radiance, lights))?;
         self.lighting = Some(lighting);
         Ok(())
     }
 
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
         let gpu = &self.context.gpu;
-        self.geometry.sky = gpu.guarded("uploading the environment", || Sky::new(gpu, environment))?;
+        self.geometry.sky =
+            gpu.with_error_scopes("uploading the environment", || EnvironmentMap::new(gpu, environment))?;
         Ok(())
     }
 

@@ -13,7 +13,7 @@ use texir_core::progress::Progress;
 
 use crate::buffer::{Pool, View, uniform};
 use crate::gpu::Gpu;
-use crate::kernel::{Kernel, Spec};
+use crate::kernel::{Kernel, KernelKey};
 use crate::pass::WORKGROUP;
 use crate::scene::BvhStorage;
 use crate::wgsl::Variant;
@@ -40,46 +40,49 @@ pub(crate) const BATCH_BYTES: usize = 64 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GatherShape {
     /// Threads that share an item: a power of two, at most 64.
-    pub lanes: u32,
+    pub threads_per_item: u32,
     /// Rays that a thread traces in one dispatch. At most 64: software drivers silently end a thread after 65,535 loop
     /// iterations, of which a ray takes a few hundred.
-    pub rays: u32,
+    pub rays_per_thread: u32,
 }
 
 impl GatherShape {
     /// The shape for a number of samples: as many threads as there is work for.
     pub const fn for_samples(samples: u32) -> Self {
-        let lanes = if samples >= 64 { 64 } else { samples.next_power_of_two() };
-        Self { lanes, rays: 32 }
+        let threads_per_item = if samples >= 64 { 64 } else { samples.next_power_of_two() };
+        Self { threads_per_item, rays_per_thread: 32 }
     }
 
     /// Threads of a workgroup over threads of an item.
     pub(crate) fn items_per_workgroup(self) -> usize {
-        WORKGROUP / self.lanes as usize
+        WORKGROUP / self.threads_per_item as usize
     }
 
     /// Checks the bounds of the fields.
     pub(crate) fn check(self) -> Result<Self> {
-        if self.lanes.is_power_of_two() && self.lanes <= 64 && (1..=64).contains(&self.rays) {
+        if self.threads_per_item.is_power_of_two()
+            && self.threads_per_item <= 64
+            && (1..=64).contains(&self.rays_per_thread)
+        {
             return Ok(self);
         }
         Err(Error::invalid(format!(
-            "gather shape {self:?}: lanes must be a power of two up to 64, and rays between 1 and 64"
+            "gather shape {self:?}: threads_per_item must be a power of two up to 64, and rays_per_thread between 1 and 64"
         )))
     }
 }
 
 /// How many rays the next dispatch of a kernel may hold. Kernels do not share it: a ray that ends where it starts, as
 /// most of a projection's do, says nothing about one through the whole scene.
-struct Pace(f64);
+struct DispatchBudget(f64);
 
-impl Default for Pace {
+impl Default for DispatchBudget {
     fn default() -> Self {
         Self(FIRST_RAYS)
     }
 }
 
-impl Pace {
+impl DispatchBudget {
     /// Learns from a dispatch of so many rays that took so long.
     fn learn(&mut self, rays: u64, seconds: f64) {
         let rays = rays.max(1) as f64;
@@ -98,12 +101,12 @@ pub(crate) struct Context {
     pub gpu: Gpu,
     pub pool: Pool,
     hierarchy: BvhStorage,
-    paces: HashMap<Spec, Pace>,
+    budgets: HashMap<KernelKey, DispatchBudget>,
 }
 
 impl Context {
     pub fn new(gpu: Gpu, hierarchy: BvhStorage) -> Self {
-        Self { gpu, hierarchy, pool: Pool::default(), paces: HashMap::new() }
+        Self { gpu, hierarchy, pool: Pool::default(), budgets: HashMap::new() }
     }
 
     /// The kernel `shader`/`entry`, with the modules that suit the adapter.
@@ -125,13 +128,13 @@ impl Context {
         roughness: RoughnessGradient,
     ) -> Result<Arc<Kernel>> {
         let variant = Variant { hierarchy: self.hierarchy, roughness };
-        self.gpu.kernel(Spec { shader, entry, variant, constant })
+        self.gpu.kernel(KernelKey { shader, entry, variant, constant })
     }
 
     /// Records a compute pass, submits it and waits. A pass that the device refuses is an error here: it must not be
     /// taken for a fast one.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
-        self.gpu.guarded("a dispatch", || {
+        self.gpu.with_error_scopes("a dispatch", || {
             let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
             record(&mut encoder.begin_compute_pass(&Default::default()));
             self.gpu.queue().submit([encoder.finish()]);
@@ -142,7 +145,7 @@ impl Context {
     /// Keeps nothing of what passes have left.
     pub fn forget(&mut self) {
         self.pool = Pool::default();
-        self.paces.clear();
+        self.budgets.clear();
     }
 
     /// Dispatches `workgroups` of a kernel, which trace `rays` rays, and waits; the size of its next dispatch follows
@@ -155,13 +158,13 @@ impl Context {
     pub fn timed(&mut self, kernel: &Kernel, rays: u64, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         let start = Instant::now();
         self.submit(record)?;
-        self.paces.entry(kernel.spec()).or_default().learn(rays, start.elapsed().as_secs_f64());
+        self.budgets.entry(kernel.key()).or_default().learn(rays, start.elapsed().as_secs_f64());
         Ok(())
     }
 
     /// How many items of `cost` rays each go into a kernel's next dispatch.
     pub fn items(&self, kernel: &Kernel, cost: u64) -> usize {
-        self.paces.get(&kernel.spec()).unwrap_or(&Pace::default()).items(cost)
+        self.budgets.get(&kernel.key()).unwrap_or(&DispatchBudget::default()).items(cost)
     }
 
     /// Runs a kernel with one ray per item over `items` items: `dispatch` handles one range of them.
@@ -181,7 +184,7 @@ impl Context {
     }
 
     /// Runs a pass whose threads share an item's samples: `samples` of each technique in turn.
-    pub fn gather<G: Gathering, const TECHNIQUES: usize>(
+    pub fn gather<G: BatchedPass, const TECHNIQUES: usize>(
         &mut self,
         items: usize,
         samples: [u32; TECHNIQUES],
@@ -189,7 +192,7 @@ impl Context {
         progress: &dyn Progress,
         steps: &mut G,
     ) -> Result<()> {
-        let span = shape.lanes * shape.rays;
+        let span = shape.threads_per_item * shape.rays_per_thread;
         let mut first = 0;
         while first < items {
             // What one dispatch of the fastest technique holds; those of slower ones, and of one that has become slow,
@@ -225,7 +228,7 @@ impl Context {
 }
 
 /// The steps of a pass that [`Context::gather`] runs.
-pub(crate) trait Gathering {
+pub(crate) trait BatchedPass {
     /// Bytes per item of a batch's largest array, for the bound on a batch's memory.
     const ITEM_BYTES: usize;
     /// What a batch holds on the device.
@@ -254,7 +257,7 @@ mod tests {
     /// Seconds that dispatches of 32-ray items take on a device of so many rays per second, which `speed` gives by
     /// dispatch.
     fn durations(dispatches: usize, speed: impl Fn(usize) -> f64) -> Vec<f64> {
-        let mut pace = Pace::default();
+        let mut pace = DispatchBudget::default();
         let take = |number| {
             let rays = 32 * pace.items(32) as u64;
             let seconds = rays as f64 / speed(number);

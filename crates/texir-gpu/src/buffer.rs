@@ -161,7 +161,7 @@ fn map(gpu: &Gpu, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) -> Res
         // Nobody listens any more where waiting failed, which is reported instead.
         let _ = sender.send(result);
     });
-    gpu.answer(&mapped)?.map_err(|e| failed(gpu, e))
+    gpu.wait_for(&mapped)?.map_err(|e| failed(gpu, e))
 }
 
 fn failed(gpu: &Gpu, e: impl std::fmt::Display) -> Error {

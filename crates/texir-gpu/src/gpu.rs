@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use texir_core::error::{Error, Result};
 
-use crate::kernel::{Kernel, Kernels, Spec};
+use crate::kernel::{Kernel, KernelKey, Kernels};
 
 /// A wgpu device with its queue, and the pipelines that were made for it. Clones share them.
 #[derive(Clone)]
@@ -19,7 +19,7 @@ pub struct Gpu {
 }
 
 /// The longest time between two questions whether the device is done.
-const PATIENCE: Duration = Duration::from_millis(1);
+const MAX_POLL_INTERVAL: Duration = Duration::from_millis(1);
 
 /// A hundred times what a dispatch should take: a wait as long as that may be one for a device that was lost.
 const TOO_LONG: Duration = Duration::from_secs(10);
@@ -161,7 +161,7 @@ impl Gpu {
     }
 
     /// A kernel, compiled when it is first asked for.
-    pub(crate) fn kernel(&self, spec: Spec) -> Result<Arc<Kernel>> {
+    pub(crate) fn kernel(&self, spec: KernelKey) -> Result<Arc<Kernel>> {
         self.kernels().get(&self.device, spec)
     }
 
@@ -172,7 +172,7 @@ impl Gpu {
 
     /// Runs `work` and turns everything that the device reports meanwhile into an error, so that nothing reaches the
     /// device's uncaptured-error handler, which is the host program's.
-    pub(crate) fn guarded<T>(&self, what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    pub(crate) fn with_error_scopes<T>(&self, what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
         let scopes = [wgpu::ErrorFilter::Internal, wgpu::ErrorFilter::OutOfMemory, wgpu::ErrorFilter::Validation]
             .map(|filter| self.device.push_error_scope(filter));
         let result = work();
@@ -198,11 +198,11 @@ impl Gpu {
             // Nobody listens any more where waiting failed, which is reported instead.
             let _ = sender.send(());
         });
-        self.answer(&done)
+        self.wait_for(&done)
     }
 
     /// Waits for what a callback of the device's sends.
-    pub(crate) fn answer<T>(&self, from: &Receiver<T>) -> Result<T> {
+    pub(crate) fn wait_for<T>(&self, from: &Receiver<T>) -> Result<T> {
         let failed = |e: &dyn std::fmt::Display| {
             Error::device(format!("{}: waiting for the device failed: {e}", self.info.name))
         };
@@ -228,10 +228,10 @@ impl Gpu {
 /// Lets others run before the device is asked again, after so long a wait: short waits are not made much longer, and
 /// long ones take no processor time.
 fn pause(waited: Duration) {
-    if waited < PATIENCE / 8 {
+    if waited < MAX_POLL_INTERVAL / 8 {
         std::thread::yield_now();
     } else {
-        std::thread::sleep((waited / 8).min(PATIENCE));
+        std::thread::sleep((waited / 8).min(MAX_POLL_INTERVAL));
     }
 }
 

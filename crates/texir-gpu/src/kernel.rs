@@ -12,7 +12,7 @@ const MAX_WORKGROUPS: u64 = 65_535;
 
 /// Which kernel: a shader, its entry point, its variant and its override constants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Spec {
+pub(crate) struct KernelKey {
     /// Stem of the shader's file.
     pub shader: &'static str,
     /// Entry point.
@@ -25,10 +25,10 @@ pub(crate) struct Spec {
 
 /// Kernels made so far: each is compiled when it is first used.
 #[derive(Default)]
-pub(crate) struct Kernels(HashMap<Spec, Arc<Kernel>>);
+pub(crate) struct Kernels(HashMap<KernelKey, Arc<Kernel>>);
 
 impl Kernels {
-    pub fn get(&mut self, device: &wgpu::Device, spec: Spec) -> Result<Arc<Kernel>> {
+    pub fn get(&mut self, device: &wgpu::Device, spec: KernelKey) -> Result<Arc<Kernel>> {
         if let Some(kernel) = self.0.get(&spec) {
             return Ok(kernel.clone());
         }
@@ -48,7 +48,7 @@ struct Slot {
 
 /// A compute pipeline.
 pub(crate) struct Kernel {
-    spec: Spec,
+    spec: KernelKey,
     label: String,
     pipeline: wgpu::ComputePipeline,
     layouts: Vec<wgpu::BindGroupLayout>,
@@ -58,7 +58,7 @@ pub(crate) struct Kernel {
 }
 
 impl Kernel {
-    fn new(device: &wgpu::Device, spec: Spec) -> Result<Self> {
+    fn new(device: &wgpu::Device, spec: KernelKey) -> Result<Self> {
         let label = format!("{}/{}", spec.shader, spec.entry);
         let composed = SHADERS.compose(spec.shader, spec.variant)?;
         let (slots, unused) = reflect(&composed, spec.entry)?;
@@ -98,7 +98,7 @@ impl Kernel {
     }
 
     /// Which kernel it is.
-    pub fn spec(&self) -> Spec {
+    pub fn key(&self) -> KernelKey {
         self.spec
     }
 

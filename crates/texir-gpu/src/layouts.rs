@@ -115,12 +115,12 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
                 end_sample,
                 cosine_samples,
                 light_samples,
-                sky_samples,
+                environment_samples,
                 seed,
                 part,
                 parts,
                 width,
-                sky_rows
+                environment_rows
             }),
         ),
         ("lookup", "LookupParams", host!(LookupParams { rows, channels, first_tap, taps })),
@@ -245,7 +245,7 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("specular_table", "NODES", NODES as f64),
         ("specular_table", "STRATA", STRATA as f64),
         ("specular_table", "LOBES", LOBES.len() as f64),
-        ("specular_table", "LANES", specular_table::SHAPE.lanes.into()),
+        ("specular_table", "LANES", specular_table::SHAPE.threads_per_item.into()),
     ]
 }
 

@@ -36,12 +36,12 @@ impl BvhStorage {
 }
 
 /// An array for the shader.
-enum Words {
+enum DeviceArray {
     Buffer(View),
     Texture(wgpu::TextureView),
 }
 
-impl Words {
+impl DeviceArray {
     fn new(gpu: &Gpu, name: &str, words: &[[u32; 4]], place: BvhStorage) -> Result<Self> {
         if place == BvhStorage::Buffers {
             return Ok(Self::Buffer(keep(gpu, name, words)?));
@@ -73,10 +73,10 @@ impl Words {
 
 /// The mesh and its hierarchy, ready to be traced.
 pub(crate) struct Geometry {
-    nodes: Words,
-    triangles: Words,
+    nodes: DeviceArray,
+    triangles: DeviceArray,
     /// What surrounds it.
-    pub sky: Sky,
+    pub sky: EnvironmentMap,
 }
 
 impl Geometry {
@@ -91,9 +91,9 @@ impl Geometry {
             triangles.push([uv_a.x, uv_a.y, uv_b.x, uv_b.y].map(f32::to_bits));
         }
         Ok(Self {
-            nodes: Words::new(gpu, "hierarchy", bytemuck::cast_slice(scene.nodes()), place)?,
-            triangles: Words::new(gpu, "triangles", &triangles, place)?,
-            sky: Sky::new(gpu, None)?,
+            nodes: DeviceArray::new(gpu, "hierarchy", bytemuck::cast_slice(scene.nodes()), place)?,
+            triangles: DeviceArray::new(gpu, "triangles", &triangles, place)?,
+            sky: EnvironmentMap::new(gpu, None)?,
         })
     }
 
@@ -112,7 +112,7 @@ impl Geometry {
 }
 
 /// What rays see that miss the mesh, and the density with which it is sampled.
-pub(crate) struct Sky {
+pub(crate) struct EnvironmentMap {
     radiance: wgpu::TextureView,
     bright_rows: View,
     bright_pixels: View,
@@ -120,7 +120,7 @@ pub(crate) struct Sky {
     pub rows: u32,
 }
 
-impl Sky {
+impl EnvironmentMap {
     /// An environment, or blackness.
     pub fn new(gpu: &Gpu, environment: Option<&Environment>) -> Result<Self> {
         let black = Environment::constant([0.0; 3])?;

@@ -24,18 +24,18 @@ use crate::report::ablation::{self, Ablation, Pictures};
 use crate::report::{self, Picture};
 use crate::session::Session;
 
-/// The table, in the folder of the variants,
+/// The table, in the folder of the variants.
 const TABLE: &str = "ablation.json";
-/// and the page.
+/// The page, beside it.
 const PAGE: &str = "ablation.html";
 
 /// A way to fit.
 struct Variant {
     /// Its folder.
     name: &'static str,
-    /// What it leaves out, in words,
+    /// What it leaves out, in words.
     note: &'static str,
-    /// and in settings.
+    /// What it leaves out, in settings.
     set: fn(&mut FitSettings),
 }
 

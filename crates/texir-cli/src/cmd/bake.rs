@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use texir_core::atlas::{self, Atlas};
 use texir_core::backend::{Backend, Gather};
-use texir_core::bake::{self, Buried, Denoiser, Quality, Solution, Texels, Workspace};
+use texir_core::bake::{self, BakedTexels, Buried, Denoiser, Quality, Texels, Workspace};
 use texir_core::capture::{self, LoadOptions};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::error::Error;
@@ -152,7 +152,7 @@ impl Bake {
         };
         let size @ [width, height] = self.size.map_or([radiance.width, radiance.height], |side| [side, side]);
         let workspace = match self.max_memory {
-            Some(limit) => bake::keep_within(limit, &self.partial(), scene.mesh(), radiance.data.len(), size)?,
+            Some(limit) => bake::workspace_within(limit, &self.partial(), scene.mesh(), radiance.data.len(), size)?,
             None => Workspace::Memory,
         };
         let shining = Atlas::new(backend.as_mut(), radiance.size())?;
@@ -204,7 +204,7 @@ impl Bake {
         checkpoints: &Checkpoints,
         session: &Session<'_>,
     ) -> Result<Summary, Failure> {
-        let solution = bake::solve(backend, &texels, quality, checkpoints, session.console)?;
+        let solution = bake::bake_texels(backend, &texels, quality, checkpoints, session.console)?;
         self.write(&solution, &texels, session)?;
         let [width, height] = texels.size();
         Ok(Summary {
@@ -245,7 +245,7 @@ impl Bake {
     }
 
     /// Writes the map, and what `--error-map` asks for, some rows at a time.
-    fn write(&self, solution: &Solution, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
+    fn write(&self, solution: &BakedTexels, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
         let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
         let ends_at_half = self.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ktx2"));
         let task = Task::start(console, "map", (size[0] * size[1]) as u64, "texels");

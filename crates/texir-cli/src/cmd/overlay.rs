@@ -18,9 +18,9 @@ use crate::failure::Failure;
 const WIDTH: usize = 1024;
 /// Share of full scale at which the median pixel is shown.
 const MEDIAN: f32 = 0.18;
-/// Neighbouring pixels whose faces' normals differ by more than this many degrees are on both sides of an edge,
+/// Neighbouring pixels whose faces' normals differ by more than this many degrees are on both sides of an edge.
 const CREASE_DEGREES: f32 = 20.0;
-/// and so are those of which one is this much farther away.
+/// Neighbouring pixels of which one is this many times farther away are on both sides of an edge.
 const STEP: f32 = 1.1;
 /// Edges are drawn in this colour.
 const EDGE: [u8; 3] = [255, 40, 160];

@@ -4,7 +4,7 @@
 //! map would end them after the yard's first. So the series is looked at square by square of the map as well, each by
 //! its own light.
 
-use crate::bake::{Solution, Texels};
+use crate::bake::{BakedTexels, Texels};
 use crate::error::Result;
 
 /// What is left out of a square's light may be this many times the share that may be left out of all light.
@@ -48,7 +48,7 @@ pub(super) struct Series {
 
 impl Series {
     /// Takes the next member, of which `total` is the sum with all before.
-    pub fn push(&mut self, texels: &Texels<'_>, member: &Solution, total: &Solution) -> Result<()> {
+    pub fn push(&mut self, texels: &Texels<'_>, member: &BakedTexels, total: &BakedTexels) -> Result<()> {
         self.means.push(member.mean(texels)?);
         let night = NIGHT * self.means.iter().sum::<f64>();
         let [before, last] = &mut self.shares;

@@ -8,7 +8,7 @@ use super::series::{Remainder, Series};
 use super::{Surfaces, punctual};
 use crate::atlas::{BAND, bands};
 use crate::backend::{Backend, Gather, MAX_RADIANCE};
-use crate::bake::{self, Quality, Solution, Texels};
+use crate::bake::{self, BakedTexels, Quality, Texels};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
 use crate::lights::Lights;
@@ -41,7 +41,7 @@ pub struct Bounces {
 #[derive(Debug)]
 pub struct Solved {
     /// E in full per valid texel: direct and indirect, from surfaces, punctual lights and environment.
-    pub solution: Solution,
+    pub solution: BakedTexels,
     /// Mean of E_k over texels and channels, k = 0 the direct light.
     pub series: Vec<f64>,
     /// What the bounces left out would add.
@@ -88,15 +88,15 @@ pub fn irradiance(
         if series.remainder().is_within(bounces.tolerance) {
             break;
         }
-        total.see_lit(texels, DARK * series.means.iter().sum::<f64>() as f32)?;
-        let sent = reflected(&surfaces.albedo, |rows| last.seen_rows(texels, &total, rows))?;
+        total.mark_lit_outside(texels, DARK * series.means.iter().sum::<f64>() as f32)?;
+        let sent = reflected(&surfaces.albedo, |rows| last.filled_rows(texels, &total, rows))?;
         drop(last);
         let lights = finder(solver.backend, texels, &sent)?.one_sided();
         last = solver.gather((&sent, &lights), k, series.share())?;
         total.add(texels, &last)?;
         series.push(texels, &last, &total)?;
     }
-    total.see_lit(texels, DARK * series.means.iter().sum::<f64>() as f32)?;
+    total.mark_lit_outside(texels, DARK * series.means.iter().sum::<f64>() as f32)?;
     Ok(Solved { solution: total, remainder: series.remainder(), series: series.means })
 }
 
@@ -110,7 +110,7 @@ struct Solver<'a> {
 
 impl Solver<'_> {
     /// What emission, sky and lights without extent bring themselves.
-    fn direct(&mut self, surfaces: &Surfaces) -> Result<Solution> {
+    fn direct(&mut self, surfaces: &Surfaces) -> Result<BakedTexels> {
         let lights = finder(self.backend, self.texels, &surfaces.emission)?.one_sided();
         let mut direct = self.gather((&surfaces.emission, &lights), 0, 1.0)?;
         self.add_punctual(&mut direct, &surfaces.lights)?;
@@ -118,7 +118,7 @@ impl Solver<'_> {
     }
 
     /// Adds E from the punctual lights.
-    fn add_punctual(&mut self, direct: &mut Solution, lights: &[PunctualLight]) -> Result<()> {
+    fn add_punctual(&mut self, direct: &mut BakedTexels, lights: &[PunctualLight]) -> Result<()> {
         if lights.is_empty() {
             return Ok(());
         }
@@ -144,7 +144,7 @@ impl Solver<'_> {
 
     /// E from surfaces of radiance `tbl`, with the lights in it, with a `share` of the rays; `bounce` draws other
     /// samples.
-    fn gather(&mut self, (tbl, lights): (&Rgb, &Lights), bounce: u32, share: f64) -> Result<Solution> {
+    fn gather(&mut self, (tbl, lights): (&Rgb, &Lights), bounce: u32, share: f64) -> Result<BakedTexels> {
         // Two, of which errors are told, unless it was one from the start.
         let scaled = |n: u32| ((f64::from(n) * share.clamp(FEWEST_RAYS, 1.0)).ceil() as u32).max(n.min(2));
         let Quality { gather: Gather { cosine, light, seed, .. }, error, denoise } = self.bounces.quality;
@@ -154,7 +154,7 @@ impl Solver<'_> {
         let quality = Quality { gather, error, denoise };
         self.backend.set_tbl(tbl, lights)?;
         let checkpoints = self.checkpoints.within(&format!("bounce-{bounce}"));
-        bake::solve(self.backend, self.texels, &quality, &checkpoints, self.progress)
+        bake::bake_texels(self.backend, self.texels, &quality, &checkpoints, self.progress)
     }
 }
 

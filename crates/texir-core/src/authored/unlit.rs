@@ -5,7 +5,7 @@ use std::f32::consts::PI;
 use super::solve::{DARK, finder, reflected};
 use super::{Model, Surfaces};
 use crate::backend::{Backend, Gather, Gathered};
-use crate::bake::{Solution, Texels};
+use crate::bake::{BakedTexels, Texels};
 use crate::error::{Result, listed};
 use crate::progress::{Progress, Task};
 use crate::raster::luminance;
@@ -32,7 +32,7 @@ pub fn unlit(
     model: &Model,
     texels: &Texels<'_>,
     surfaces: &Surfaces,
-    solution: &Solution,
+    solution: &BakedTexels,
     progress: &dyn Progress,
 ) -> Result<Vec<String>> {
     let mean = solution.mean(texels)? as f32;
@@ -82,7 +82,7 @@ fn suspects(
     model: &Model,
     texels: &Texels<'_>,
     surfaces: &Surfaces,
-    solution: &Solution,
+    solution: &BakedTexels,
     dark: f32,
 ) -> Result<(Vec<Suspect>, Vec<Looked>)> {
     let double: Vec<bool> = model.parts.iter().map(|part| model.is_double_sided(part)).collect();
@@ -118,11 +118,11 @@ fn light_at(
     backend: &mut dyn Backend,
     texels: &Texels<'_>,
     surfaces: &Surfaces,
-    solution: &Solution,
+    solution: &BakedTexels,
     points: &[SurfacePoint],
     progress: &dyn Progress,
 ) -> Result<Vec<f32>> {
-    let mut sent = reflected(&surfaces.albedo, |rows| solution.seen_rows(texels, solution, rows))?;
+    let mut sent = reflected(&surfaces.albedo, |rows| solution.filled_rows(texels, solution, rows))?;
     sent.data.iter_mut().zip(&surfaces.emission.data).for_each(|(sent, own)| (0..3).for_each(|c| sent[c] += own[c]));
     backend.set_environment(None)?;
     let lights = finder(backend, texels, &sent)?.one_sided();

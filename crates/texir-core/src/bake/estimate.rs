@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::store::{Items, Store};
 use super::surface::Surface;
 use super::texels::{PIECE, Texels};
-use super::tiles::{Tiles, is_seen, rays_of};
+use super::tiles::{Tiles, is_outside, rays_of};
 use crate::backend::{Backend, Gather, Gathered, Sequences};
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
@@ -94,15 +94,15 @@ impl Estimate {
 
     /// E of every point, the mean of both halves, and 0 for points inside other geometry, else 1.
     pub fn means(&self, texels: &Texels<'_>) -> Result<(Store<'static, [f32; 3]>, Store<'static, u8>)> {
-        let (mut means, mut seen) = (texels.zeroed()?, texels.zeroed()?);
+        let (mut means, mut outside) = (texels.zeroed()?, texels.zeroed()?);
         for items in texels.pieces() {
             let known = self.known(&items)?;
             let [a, b] = &known.halves;
             means.set(&items, &(0..items.len()).map(|i| known.mean(i).to_array()).collect::<Vec<_>>())?;
             let back_faces = a.iter().zip(b.iter()).map(|(a, b)| (a.back_faces + b.back_faces) / 2.0);
-            seen.set(&items, &back_faces.map(is_seen).collect::<Vec<_>>())?;
+            outside.set(&items, &back_faces.map(is_outside).collect::<Vec<_>>())?;
         }
-        Ok((means, seen))
+        Ok((means, outside))
     }
 
     /// Rays of all points.

@@ -33,7 +33,7 @@ const FEWEST: u64 = 1 << 18;
 /// The workspace that keeps a bake within `limit`: memory if a map of `[width, height]` texels, all of them valid, fits
 /// beside the mesh and an HDR texture of `radiance` texels; else files in `folder`. Errors when even those leave too
 /// little.
-pub fn keep_within(
+pub fn workspace_within(
     limit: ByteSize,
     folder: &Path,
     mesh: &Mesh,
@@ -55,10 +55,10 @@ pub fn keep_within(
     Ok(Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(limit.0 - beside) })
 }
 
-/// [`keep_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of
+/// [`workspace_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of
 /// every texel besides goes to files where it does not fit. `materials` are the bytes of the scene as it was read, and
 /// of an environment.
-pub fn keep_bounces_within(
+pub fn bounce_workspace_within(
     limit: ByteSize,
     folder: &Path,
     mesh: &Mesh,

@@ -3,10 +3,11 @@
 //! Per-texel data lies in arrays, in memory or in files ([`Workspace`]). Gathers go through them in tiles, denoising and
 //! error estimates in blocks of space, output in rows; how they are cut does not change a bit of the result.
 
+mod baked_texels;
 mod blocks;
 mod estimate;
 mod memory;
-mod solution;
+mod passes;
 mod store;
 mod surface;
 mod texels;
@@ -17,8 +18,9 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use bytemuck::cast_slice;
 
-pub use self::memory::{keep_bounces_within, keep_within};
-pub use self::solution::{Solution, solve};
+pub use self::baked_texels::BakedTexels;
+pub use self::memory::{bounce_workspace_within, workspace_within};
+pub use self::passes::bake_texels;
 pub use self::store::Workspace;
 pub use self::texels::Texels;
 pub use self::thinned::thinned;
@@ -116,7 +118,7 @@ pub fn bake(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    solve(backend, &Texels::of(atlas), quality, checkpoints, progress)?.into_baked()
+    bake_texels(backend, &Texels::of(atlas), quality, checkpoints, progress)?.into_baked()
 }
 
 /// [`bake`] of a fixed number of rays, as they come: unbiased.
@@ -127,7 +129,7 @@ pub fn irradiance(
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
 ) -> Result<Baked> {
-    solution::as_gathered(backend, &Texels::of(atlas), gather, checkpoints, progress)?.into_baked()
+    passes::as_gathered(backend, &Texels::of(atlas), gather, checkpoints, progress)?.into_baked()
 }
 
 /// [`bake`] of a fixed number of rays, with most of the noise removed.

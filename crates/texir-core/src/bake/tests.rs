@@ -233,7 +233,7 @@ fn on_disk(folder: &Path) -> Workspace {
 }
 
 /// The map and its errors, made some rows at a time.
-fn maps(solution: &Solution, texels: &Texels<'_>, buried: Buried, band: usize) -> (Vec<[f32; 3]>, Vec<f32>) {
+fn maps(solution: &BakedTexels, texels: &Texels<'_>, buried: Buried, band: usize) -> (Vec<[f32; 3]>, Vec<f32>) {
     let bands = || (0..LARGE).step_by(band).map(|row| row..(row + band).min(LARGE));
     let map = bands().flat_map(|rows| solution.map_rows(texels, buried, rows).unwrap()).collect();
     (map, bands().flat_map(|rows| solution.error_rows(texels, rows).unwrap()).collect())
@@ -254,8 +254,9 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let ways = [(None, None), (None, regression), (Some(0.0), None), (Some(0.0), regression), (Some(0.2), regression)];
     for (error, denoise) in ways {
         let quality = Quality { gather, error, denoise };
-        let mut solve =
-            |texels: &Texels<'_>| super::solve(&mut backend, texels, &quality, &Checkpoints::none(), &Silent).unwrap();
+        let mut solve = |texels: &Texels<'_>| {
+            super::bake_texels(&mut backend, texels, &quality, &Checkpoints::none(), &Silent).unwrap()
+        };
         let (in_memory, on_disk) = (solve(&memory), solve(&disk));
         let baked = bake(&mut backend, &atlas, &quality, &Checkpoints::none(), &Silent).unwrap();
         let buried = baked.buried.iter().filter(|inside| **inside).count();
@@ -273,7 +274,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
     let mut solve = |texels: &Texels<'_>, reach| {
         let surface = Surface::new(texels, scene.mesh(), reach).unwrap();
-        let solved = solution::solve_on(&mut backend, &surface, &quality, &Checkpoints::none(), &Silent).unwrap();
+        let solved = passes::bake_blocks(&mut backend, &surface, &quality, &Checkpoints::none(), &Silent).unwrap();
         maps(&solved, texels, Buried::Keep, LARGE).0
     };
     let (whole, enough, little) = (solve(&memory, 1.0), solve(&disk, denoise::REACH), solve(&disk, 1.0));
@@ -353,7 +354,7 @@ fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
     let open = || Checkpoints::open(&path, &identity(scene.mesh(), &radiance, quality), &Silent).unwrap();
     let mut run = |workspace: Workspace, kept: &Checkpoints, progress: &dyn Progress| -> Result<_> {
         let texels = Texels::map(&mut backend, [LARGE; 2], workspace, &Silent)?;
-        let solution = super::solve(&mut backend, &texels, &quality, kept, progress)?;
+        let solution = super::bake_texels(&mut backend, &texels, &quality, kept, progress)?;
         Ok((maps(&solution, &texels, Buried::Keep, 16), solution.rays, texels.valid() as u64))
     };
     let (whole, rays, texels) = run(Workspace::Memory, &Checkpoints::none(), &Silent).unwrap();
@@ -389,7 +390,7 @@ fn texels_too_close_together_for_the_memory_are_an_error_that_says_what_would_do
 #[test]
 fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
     let (scene, _) = strips();
-    let plan = |limit, side| keep_within(limit, Path::new("x.partial"), scene.mesh(), 256, [side; 2]);
+    let plan = |limit, side| workspace_within(limit, Path::new("x.partial"), scene.mesh(), 256, [side; 2]);
     assert_eq!(plan(ByteSize::gib(1), 512).unwrap(), Workspace::Memory);
     let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 16384).unwrap() else { panic!("in memory") };
     assert!(memory < ByteSize::gib(1) && memory > ByteSize::mib(800), "{memory}");
@@ -402,7 +403,7 @@ fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
 fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     let (scene, _) = strips();
     let beside = |limit, images, side: usize| {
-        keep_bounces_within(limit, Path::new("x.partial"), scene.mesh(), images, [side; 2])
+        bounce_workspace_within(limit, Path::new("x.partial"), scene.mesh(), images, [side; 2])
     };
     let plan = |limit, side| beside(limit, 0, side);
     assert_eq!(plan(ByteSize::gib(1), 1024).unwrap(), Workspace::Memory);
@@ -474,7 +475,7 @@ fn standard_errors_of_light_that_is_added_up_add_up_as_noise_does() {
     let atlas = Atlas::new(&mut backend, [SIDE, SIDE]).unwrap();
     let texels = Texels::of(&atlas);
     let quality = Quality { gather: GATHER, error: Some(0.0), denoise: None };
-    let mut solution = solve(&mut backend, &texels, &quality, &Checkpoints::none(), &Silent).unwrap();
+    let mut solution = bake_texels(&mut backend, &texels, &quality, &Checkpoints::none(), &Silent).unwrap();
     let other = solution.copy(&texels).unwrap();
     let [one, _] = [&solution, &other].map(|of| of.copy(&texels).unwrap().into_baked().unwrap());
     solution.add(&texels, &other).unwrap();

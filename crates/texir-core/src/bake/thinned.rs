@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Baked, Quality, Texels, solve};
+use super::{Baked, Quality, Texels, bake_texels};
 use crate::atlas::{Atlas, TexelIndex};
 use crate::backend::{Backend, Gather};
 use crate::checkpoint::Checkpoints;
@@ -26,7 +26,7 @@ pub fn thinned(
 ) -> Result<Baked> {
     let Thin { points, of } = Thin::new(atlas, APART * atlas.typical_texel(backend.scene().mesh()));
     let texels = Texels::of_points([atlas.width.div_ceil(2), atlas.height.div_ceil(2)], points);
-    let baked = solve(backend, &texels, &Quality::denoised(gather), checkpoints, progress)?.into_baked()?;
+    let baked = bake_texels(backend, &texels, &Quality::denoised(gather), checkpoints, progress)?.into_baked()?;
     Ok(Baked {
         irradiance: of.iter().map(|&point| baked.irradiance[point as usize]).collect(),
         buried: of.iter().map(|&point| baked.buried[point as usize]).collect(),

@@ -84,6 +84,6 @@ pub(super) fn rays_of(gather: Gather) -> u64 {
 }
 
 /// 0 for a point inside other geometry (see [`BURIED`]), else 1.
-pub(super) fn is_seen(back_faces: f32) -> u8 {
+pub(super) fn is_outside(back_faces: f32) -> u8 {
     u8::from(back_faces < BURIED)
 }

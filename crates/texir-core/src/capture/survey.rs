@@ -20,14 +20,14 @@ use crate::tbl::pose;
 const COLUMNS: usize = 256;
 /// Edge of the cells of surface in which views are compared, metres.
 const CELL: f32 = 0.25;
-/// Views of a cell by which each of them can be judged,
+/// Views of a cell, at least, by which each of them can be judged.
 const JUDGES: usize = 3;
-/// and cells that a view is judged in at least.
+/// Cells, at least, that a view is judged in.
 const ENOUGH: usize = 30;
 
-/// Shares of the light and of the directions, of all training views, that may meet the backs of faces,
+/// Shares of the light and of the directions, of all training views, that may meet the backs of faces.
 const BEHIND: [f64; 2] = [0.03, 0.05];
-/// or no surface.
+/// Shares of the light and of the directions, likewise, that may meet no surface.
 const OPEN: [f64; 2] = [0.05, 0.1];
 /// An image clips where so many of its pixels share its largest value in two channels.
 const CLIPPED: f64 = 1e-3;

@@ -147,9 +147,9 @@ struct FitSums<R> {
     tangent: [Lanes<R>; 3],
     bitangent: [Lanes<R>; 3],
     smoothed: [[Lanes<R>; 3]; 2],
-    /// Squared difference between smoothed halves that noise explains,
+    /// Squared difference between smoothed halves that noise explains.
     expected: Lanes<R>,
-    /// and how much more there may be.
+    /// (TOLERANCE · noise)², the scale on which the difference beyond that lowers weights.
     tolerated: Lanes<R>,
     fits: [Fit<R>; 2],
 }
@@ -276,9 +276,9 @@ fn mean<R: Real>([a, b]: [V3<R>; 2]) -> V3<R> {
     (a + b) * R::of(0.5)
 }
 
-/// How many coefficients a quadratic has in two variables,
+/// Coefficients of a quadratic in two variables.
 const TERMS: usize = 6;
-/// and how many different products of two of its terms there are.
+/// Different products of two of its terms.
 const PRODUCTS: usize = 15;
 /// Exponents of x and y of the products; those of the terms come first.
 const EXPONENTS: [[usize; 2]; PRODUCTS] = [

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_1_PI;
 
-use super::light_sampling::{light_density, light_point};
+use super::light_sampling::{light_pdf, light_point};
 use super::lighting::Lighting;
 #[cfg(doc)]
 use crate::backend::Sequences;
@@ -39,9 +39,9 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let (tangent, bitangent) = basis(normal);
     let (seed, stretch) = gather.sequences.of(gather.seed, point.index);
     let sky = lighting.environment.filter(|sky| !sky.bright().is_empty());
-    let [light_samples, sky_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
+    let [light_samples, environment_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
     let table = lights.table(point.position.into(), point.normal.into());
-    let [n_cosine, n_light, n_sky] = [gather.cosine, light_samples, sky_samples].map(|n| R::of(f64::from(n)));
+    let [n_cosine, n_light, n_sky] = [gather.cosine, light_samples, environment_samples].map(|n| R::of(f64::from(n)));
     let (mut sum, mut behind) = (V3::zero(), 0u32);
 
     let offset = [hash2(seed, 3), hash2(seed, 4)];
@@ -60,7 +60,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         if hit.back && lights.is_black_behind(hit.triangle) {
             continue;
         }
-        let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_density(mesh, lights, table, &hit, direction);
+        let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_pdf(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (z / density);
     }
     let offset = [hash2(seed, 1), hash2(seed, 2)];
@@ -76,15 +76,14 @@ pub fn irradiance<R: Real, T: Trace<R>>(
         if hit.triangle != triangle || hit.back {
             continue;
         }
-        let density =
-            n_cosine * cosine * R::of(FRAC_1_PI) + n_light * light_density(mesh, lights, table, &hit, direction);
+        let density = n_cosine * cosine * R::of(FRAC_1_PI) + n_light * light_pdf(mesh, lights, table, &hit, direction);
         sum = sum + lighting.radiance_at(&hit) * (cosine / density);
     }
     if let Some(sky) = sky {
         let offset = [hash2(seed, 5), hash2(seed, 6)];
-        for i in 0..sky_samples {
-            let index = stretch.wrapping_mul(sky_samples).wrapping_add(i);
-            let (direction, pixel) = sky.bright_direction(lattice2(index, offset));
+        for i in 0..environment_samples {
+            let index = stretch.wrapping_mul(environment_samples).wrapping_add(i);
+            let (direction, pixel) = sky.sample_environment(lattice2(index, offset));
             let cosine = normal.dot(direction);
             if !(cosine > R::of(0.0)) || lighting.tracer.closest(origin, direction).is_some() {
                 continue;

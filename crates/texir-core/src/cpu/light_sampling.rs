@@ -17,7 +17,7 @@ pub fn light_point<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], [u, v]:
 
 /// Density, per solid angle, with which the light samples of `table` draw the direction of a hit: density per area ·
 /// t² / |cosθ'|.
-pub fn light_density<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], hit: &TraceHit<R>, direction: V3<R>) -> R {
+pub fn light_pdf<R: Real>(mesh: &Mesh, lights: &Lights, table: &[f32], hit: &TraceHit<R>, direction: V3<R>) -> R {
     let Some(light) = lights.of(hit.triangle) else { return R::of(0.0) };
     let cluster = light.cluster as usize;
     let before = if cluster > 0 { table[cluster - 1] } else { 0.0 };

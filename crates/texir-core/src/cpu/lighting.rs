@@ -23,12 +23,12 @@ impl<T> Lighting<'_, T> {
     {
         match self.tracer.closest(origin, direction) {
             Some(hit) => self.radiance_at(&hit),
-            None => self.beyond(direction),
+            None => self.environment_radiance(direction),
         }
     }
 
     /// Radiance of the environment in `direction`.
-    pub fn beyond<R: Real>(&self, direction: V3<R>) -> V3<R> {
+    pub fn environment_radiance<R: Real>(&self, direction: V3<R>) -> V3<R> {
         self.environment.map_or(V3::zero(), |environment| environment.towards(direction))
     }
 

@@ -4,7 +4,7 @@
 use pulp::{Arch, NullaryFnOnce};
 
 use super::irradiance::cosine_direction;
-use super::light_sampling::{light_density, light_point};
+use super::light_sampling::{light_pdf, light_point};
 use super::lighting::Lighting;
 use crate::backend::ShadePoint;
 use crate::brdf::{Masking, basis, fresnel_weight, ndf_from_sin2, sample_half_vector};
@@ -117,8 +117,7 @@ impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
         let lobes = LOBES.iter().map(|&r| lobe.pdf(R::of(f64::from(r)))).fold(R::of(0.0), |sum, p| sum + p);
         n(self.sampling.lobe) * lobes
             + n(self.sampling.cosine) * lobe.nl * R::of(std::f64::consts::FRAC_1_PI)
-            + n(self.sampling.light)
-                * light_density(self.lighting.tracer.mesh(), self.lights, self.table, hit, direction)
+            + n(self.sampling.light) * light_pdf(self.lighting.tracer.mesh(), self.lights, self.table, hit, direction)
     }
 }
 

@@ -76,9 +76,9 @@ struct Materials {
     pub metallic: Option<Gray>,
     /// Irradiance E with which the materials explain the images.
     pub irradiance: Rgb,
-    /// The diffuse model that albedo belongs to,
+    /// The diffuse model that albedo belongs to.
     pub diffuse: DiffuseModel,
-    /// and the shadowing–masking term that roughness does.
+    /// The shadowing–masking term that roughness belongs to.
     pub masking: Masking,
     /// How well the views know the roughness, 0 (a guess) to 1; full mode tells.
     pub confidence: Option<Gray>,

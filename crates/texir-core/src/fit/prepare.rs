@@ -18,9 +18,9 @@ use crate::tbl::{self, TblOptions};
 pub(super) struct Prepared {
     pub tbl: Tbl,
     pub atlas: Atlas,
-    /// The training views,
+    /// The training views.
     pub training: Vec<View>,
-    /// and as the fit of materials reads them.
+    /// The training views as the fit of materials reads them: reduced where need be.
     pub views: Vec<View>,
     /// What all of its light was multiplied with: see [`unit`](fn@unit).
     pub unit: f32,

@@ -24,9 +24,9 @@ const CASES: u32 = 150;
 /// Bytes that a single allocation may have.
 #[derive(Clone, Copy)]
 pub struct Bound {
-    /// Whatever the input,
+    /// Bytes for any input.
     whatever: usize,
-    /// and for every byte of the mutated file.
+    /// Bytes for every byte of the mutated file.
     per_byte: usize,
 }
 

@@ -105,9 +105,9 @@ impl<'t> Mipmapped<'t> {
 /// One texture of `N` channels.
 struct Map<'t, const N: usize> {
     pyramid: Arc<Pyramid>,
-    /// The finest level,
+    /// The finest level.
     texels: &'t [[f32; N]],
-    /// and those above it, in one piece.
+    /// The levels above it, in one piece.
     above: Vec<f32>,
 }
 

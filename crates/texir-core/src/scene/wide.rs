@@ -41,9 +41,9 @@ pub struct WideBvh {
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Node {
-    /// Least and greatest x of the eight boxes, y, and z. Nothing enters the box of a child that is missing,
+    /// Least and greatest x of the eight boxes, y, and z. Nothing enters the box of a child that is missing.
     bounds: [[f32; WIDTH]; 6],
-    /// which is a leaf without triangles, as NaN enters any box.
+    /// The children. A missing one is a leaf without triangles, as NaN enters any box.
     children: [Child; WIDTH],
 }
 

@@ -31,11 +31,11 @@ use crate::surface::SurfacePoint;
 
 /// Side of the atlas whose texels are compared.
 const SIDE: usize = 512;
-/// Texels that are compared at most,
+/// Texels that are compared, at most.
 const TEXELS: usize = 60_000;
-/// in pixels that are wider than need be,
+/// Texels, likewise, in pixels that are wider than need be.
 const FEW_TEXELS: usize = 20_000;
-/// and where it is only asked whether views are in place.
+/// Texels, likewise, where it is only asked whether views are in place.
 const FEWEST_TEXELS: usize = 6_000;
 /// Narrower pixels are joined up to this width, radians: a tenth of one is less than a texel covers.
 const FINEST: f32 = 4e-3;
@@ -51,9 +51,9 @@ const TELLING: f32 = 0.6;
 const IN_PLACE: f32 = 0.25;
 /// A view that would move by so many is not, even if most are.
 const OUT_OF_PLACE: f32 = 0.6;
-/// How often all views move against what the others show, in pixels of one width,
+/// Rounds, in pixels of one width, in which all views move against what the others show.
 const ROUNDS: usize = 6;
-/// and where it is only asked whether views are in place.
+/// Rounds where it is only asked whether views are in place.
 const FEW_ROUNDS: usize = 4;
 /// Surfaces that are seen at a smaller cosine are not compared: they move too far in the image.
 const MIN_COSINE: f32 = 0.2;

@@ -106,9 +106,9 @@ pub(super) fn resolve(
 
 /// Pixels at light sources, and the texels that explain them.
 pub(super) struct Explained {
-    /// The texels that the pixels show,
+    /// The texels that the pixels show.
     pub(super) texels: Vec<u32>,
-    /// and their radiance.
+    /// Radiance of these texels.
     pub(super) radiance: Vec<Vec3>,
     /// View of each pixel, and index in its image.
     place: Vec<(usize, usize)>,

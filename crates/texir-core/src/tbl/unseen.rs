@@ -54,9 +54,9 @@ pub(super) fn shine(mesh: &Mesh, joined: &Joined, atlas: &Atlas, limit: f32, see
 struct SeenOfTriangle {
     /// Texels.
     texels: u32,
-    /// Those of them that shine,
+    /// Those of them that emit.
     sources: u32,
-    /// and the sum of their radiance.
+    /// Sum of the radiance of those.
     light: Vec3,
 }
 

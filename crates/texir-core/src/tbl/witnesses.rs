@@ -29,9 +29,9 @@ const ASKED: usize = 50_000;
 const RAYS: u32 = 256;
 /// Places of a side that send light to each.
 const PLACES: usize = 24;
-/// A texel is lit by a side where that would be this share of its light at least,
+/// A texel is lit by a side where that would be this share of its light at least.
 const LIT: f32 = 0.1;
-/// and tells what its surface looks like without where it would be less than this.
+/// A texel shows its surface without the side's light where that would be less than this share.
 const UNLIT: f32 = 0.03;
 /// What arrives at a texel from elsewhere is no less than this share of what a side would send to it.
 const LEAST: f32 = 0.01;
@@ -122,9 +122,9 @@ pub(super) fn dim(
 
 /// A texel that is asked.
 struct Witness {
-    /// Luminance of what arrives at it,
+    /// Luminance of what arrives at it.
     irradiance: f32,
-    /// and of what it sends.
+    /// Luminance of what it sends.
     radiance: f32,
     /// The smooth part of the mesh that it is on.
     surface: u32,

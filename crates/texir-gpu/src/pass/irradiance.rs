@@ -10,7 +10,7 @@ use texir_core::progress::Progress;
 use texir_core::rng::sort_by_hilbert;
 use texir_core::surface::SurfacePoint;
 
-use crate::batch::{Context, GatherShape, Gathering};
+use crate::batch::{BatchedPass, Context, GatherShape};
 use crate::buffer::View;
 use crate::kernel::Kernel;
 use crate::scene::{Geometry, Lighting};
@@ -24,12 +24,12 @@ pub(crate) struct IrradianceParams {
     pub end_sample: u32,
     pub cosine_samples: u32,
     pub light_samples: u32,
-    pub sky_samples: u32,
+    pub environment_samples: u32,
     pub seed: u32,
     pub part: u32,
     pub parts: u32,
     pub width: u32,
-    pub sky_rows: u32,
+    pub environment_rows: u32,
 }
 
 struct Irradiance<'a> {
@@ -51,7 +51,7 @@ struct Batch {
     gathered: View,
 }
 
-impl Gathering for Irradiance<'_> {
+impl BatchedPass for Irradiance<'_> {
     const ITEM_BYTES: usize = size_of::<SurfacePoint>();
     type Batch = Batch;
 
@@ -83,12 +83,12 @@ impl Gathering for Irradiance<'_> {
             end_sample: samples.end,
             cosine_samples: self.samples[0],
             light_samples: self.samples[1],
-            sky_samples: self.samples[2],
+            environment_samples: self.samples[2],
             seed: self.gather.seed,
             part,
             parts,
             width,
-            sky_rows: self.geometry.sky.rows,
+            environment_rows: self.geometry.sky.rows,
         });
         let order = sort_by_hilbert(samples.clone().collect());
         let order = ctx.pool.upload(&ctx.gpu, "sample order", &order)?;
@@ -122,9 +122,9 @@ pub(crate) fn run(
     shape: GatherShape,
     progress: &dyn Progress,
 ) -> Result<Vec<Gathered>> {
-    let lanes = Some(("LANES", shape.lanes));
+    let lanes = Some(("LANES", shape.threads_per_item));
     let mut kernel = |entry| ctx.kernel("irradiance", entry, lanes);
-    let kernels = [kernel("gather_cosine")?, kernel("gather_lights")?, kernel("gather_sky")?];
+    let kernels = [kernel("gather_cosine")?, kernel("gather_lights")?, kernel("gather_environment")?];
     // The heuristic must not count samples that are not drawn.
     let [light, sky] = gather.light_and_sky(lighting.clusters > 0, geometry.sky.rows > 0);
     let samples = [gather.cosine, light, sky];

@@ -9,7 +9,7 @@ use texir_core::error::Result;
 use texir_core::progress::Progress;
 
 use super::device::{self, laid_out};
-use crate::batch::{Context, GatherShape, Gathering};
+use crate::batch::{BatchedPass, Context, GatherShape};
 use crate::buffer::View;
 use crate::kernel::Kernel;
 use crate::scene::{Geometry, Lighting};
@@ -43,7 +43,7 @@ struct Batch {
     shaded: View,
 }
 
-impl Gathering for Shade<'_> {
+impl BatchedPass for Shade<'_> {
     const ITEM_BYTES: usize = size_of::<device::ShadePoint>();
     type Batch = Batch;
 
@@ -111,7 +111,7 @@ pub(crate) fn run(
     shape: GatherShape,
     progress: &dyn Progress,
 ) -> Result<Vec<Shaded>> {
-    let kernel = ctx.kernel_with("shade", "shade", Some(("LANES", shape.lanes)), gradient)?;
+    let kernel = ctx.kernel_with("shade", "shade", Some(("LANES", shape.threads_per_item)), gradient)?;
     let out = Vec::with_capacity(points.len());
     let mut pass = Shade { kernel, geometry, lighting, points, materials, sampling, shape, out };
     ctx.gather(points.len(), [sampling.samples], shape, progress, &mut pass)?;

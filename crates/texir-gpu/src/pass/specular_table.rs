@@ -11,13 +11,13 @@ use texir_core::progress::Progress;
 use texir_core::specular_table::{Curve, LOBES, NODES, STRATA, TableSampling, node};
 
 use super::device::{self, laid_out};
-use crate::batch::{Context, GatherShape, Gathering};
+use crate::batch::{BatchedPass, Context, GatherShape};
 use crate::buffer::View;
 use crate::kernel::Kernel;
 use crate::scene::{Geometry, Lighting};
 
 /// How samples are dealt to threads; the shader has the same number of lanes.
-pub(crate) const SHAPE: GatherShape = GatherShape { lanes: 8, rays: 32 };
+pub(crate) const SHAPE: GatherShape = GatherShape { threads_per_item: 8, rays_per_thread: 32 };
 
 /// Values of the shader's constant `TECHNIQUE`: lobes, cosine, lights.
 const TECHNIQUES: [u32; 3] = [0, 1, 2];
@@ -59,7 +59,7 @@ struct Batch {
     tables: View,
 }
 
-impl Gathering for SpecularTable<'_> {
+impl BatchedPass for SpecularTable<'_> {
     const ITEM_BYTES: usize = size_of::<Sums>();
     type Batch = Batch;
 

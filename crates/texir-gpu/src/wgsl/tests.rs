@@ -28,7 +28,7 @@ fn every_entry_point_composes_and_validates() {
         "conserve",
         "gather_cosine",
         "gather_lights",
-        "gather_sky",
+        "gather_environment",
         "lookup",
         "lookup_vjp",
         "mean_target",

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use texir_core::authored::{self, BounceAlbedo, Bounces, Model, Surfaces, write_lightmapped_glb};
 use texir_core::backend::Backend;
-use texir_core::bake::{Texels, Workspace, keep_bounces_within};
+use texir_core::bake::{Texels, Workspace, bounce_workspace_within};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
@@ -101,7 +101,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let workspace = match bake.max_memory {
         Some(limit) => {
             let materials = model.memory() + environment.as_ref().map_or(0, Environment::memory);
-            keep_bounces_within(limit, &bake.partial(), &model.mesh, materials, model.size)?
+            bounce_workspace_within(limit, &bake.partial(), &model.mesh, materials, model.size)?
         }
         None => Workspace::Memory,
     };
@@ -112,7 +112,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let settings = (backend.name(), width, height, bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
     let light = Light { texels, surfaces, bounces };
-    let summary = solve(backend.as_mut(), &model, light, &checkpoints, (bake, session))
+    let summary = bake_texels(backend.as_mut(), &model, light, &checkpoints, (bake, session))
         .inspect_err(|failure| session.note_resume(failure, &checkpoints, &bake.partial()))?;
     checkpoints.finish();
     session.print(&summary, || {
@@ -146,7 +146,7 @@ struct Light {
 }
 
 /// Bakes direct light and bounces, and writes the map and the scene with it.
-fn solve(
+fn bake_texels(
     backend: &mut dyn Backend,
     model: &Model,
     light: Light,

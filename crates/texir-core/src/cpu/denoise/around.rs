@@ -83,9 +83,9 @@ struct Around<R, const TOLD: usize> {
     normal: [Vec<f32>; 3],
     apart: Vec<f32>,
     told: Vec<[Lanes<R>; TOLD]>,
-    /// Offsets from a point in shares of the radius,
+    /// Offsets from a point in shares of the radius.
     at: [Vec<R>; 3],
-    /// and 1 less the square of these, or 0.
+    /// The kernel: 1 less the squared length of the offset, or 0.
     near: Vec<R>,
 }
 

@@ -234,9 +234,9 @@ struct Scanned {
     diffuse: DiffuseModel,
     albedo: Vec<Vec3A>,
     evidence: Evidence,
-    /// What it says of every segment,
+    /// The tally of every segment.
     tallies: Vec<Tally>,
-    /// and the roughness that they take by that.
+    /// Roughness of every segment.
     by_segment: Vec<f32>,
 }
 

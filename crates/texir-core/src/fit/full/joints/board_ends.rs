@@ -24,11 +24,11 @@ const CONTRAST: f32 = 0.7;
 const MOST: f32 = 8.0;
 /// Noise that is not believed to be less, in ln a.
 const LEAST_NOISE: f32 = 1e-3;
-/// What a strip must gain to have its ends, beyond what the best of its shifts gains by chance,
+/// What a strip must gain to have its ends, beyond what the best of its shifts gains by chance.
 const LEAST_GAIN: f32 = 1.0;
-/// what strips must gain on average,
+/// What strips must gain on average.
 const LEAST_MEAN: f32 = 2.0;
-/// and how many times what nine of ten other lengths do.
+/// How many times what nine of ten other lengths gain.
 const STANDS_OUT: f32 = 4.0;
 /// The share of a chart that the longest boards may have: of longer ones, few strips have two ends.
 const LONGEST: f32 = 0.5;

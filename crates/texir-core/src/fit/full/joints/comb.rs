@@ -18,13 +18,13 @@ const STEPS: f32 = 4.0;
 /// How many standard errors their mean contrast must be, by what the rows between them have. Of thousands of periods
 /// and phases, the best has four to six by chance.
 const LEAST_EVIDENCE: f32 = 6.0;
-/// The mean contrast that lines must have, in ln a,
+/// The mean contrast that lines must have, in ln a.
 const LEAST_CONTRAST: f32 = 0.05;
-/// and the share of them that must have some of it.
+/// Share of the lines that must have some contrast.
 const LEAST_ALIKE: f32 = 0.8;
-/// A line is as wide as it has this share of its contrast,
+/// A line is as wide as it has this share of its contrast.
 const WIDE: f32 = 2.0 / 3.0;
-/// and half as wide as this at least, rows: what is narrower cannot be told from a fainter one of this width.
+/// Half-width of a line at least, rows: a narrower one cannot be told from a fainter one of this width.
 const NARROWEST: f32 = 0.5;
 
 /// Lines at equal distances that are believed.

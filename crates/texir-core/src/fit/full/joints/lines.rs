@@ -21,9 +21,9 @@ pub enum Polarity {
 pub struct LineCoverage {
     /// In 255ths, not 0.
     share: u8,
-    /// What covers it,
+    /// What covers it.
     pub line: Polarity,
-    /// and whether that is the end of a board, whose place follows from those of others.
+    /// Whether that is the end of a board, whose place follows from those of others.
     pub is_end: bool,
 }
 
@@ -154,9 +154,9 @@ impl LogAlbedo<'_> {
     /// The means of `contrast` and of half steps before and behind each texel, weights falling by `keep` from one to
     /// the next; 0 where too little is seen.
     fn followed(&self, contrast: &[[f32; 3]], [before, behind]: [usize; 2], keep: f32) -> [Vec<f32>; 2] {
-        /// The least share of all weights,
+        /// Least share of all weights that must be seen.
         const SEEN: f32 = 0.3;
-        /// or so many metres.
+        /// Length, metres, that suffices where it is less.
         const LONG: f32 = 0.25;
         let add = |sums: &mut [[f32; 3]], t: usize, side: usize| {
             if let Some(next) = self.step(t, side) {

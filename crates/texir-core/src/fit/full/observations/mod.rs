@@ -44,19 +44,19 @@ const GRAZING: f32 = 0.05;
 pub struct Observations {
     /// Observed radiance.
     pub radiance: Vec<Vec3A>,
-    /// n·v, the mean over what the pixel shows,
+    /// n·v, the mean over what the pixel shows.
     pub cosine: Vec<f32>,
-    /// and the least.
+    /// n·v, the least of what the pixel shows.
     pub min_cosine: Vec<f32>,
     /// Whether the pixel lies at the rim of what is left out ([`rims`]).
     pub near_excluded: Vec<bool>,
     /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
     pub area: Vec<f32>,
-    /// Specular radiance of a dielectric by roughness, of blocks of pixels;
+    /// Specular radiance of a dielectric by roughness, per block of pixels.
     pub curves: Vec<PackedCurve>,
-    /// likewise at F0 = 1, where metals are sought;
+    /// Specular radiance at F0 = 1 by roughness, per block; where metals are sought.
     pub white_curves: Vec<PackedCurve>,
-    /// which of them each pixel is part of.
+    /// Block of each pixel.
     pub block: Vec<u32>,
     /// Shares of the texels seen, by index into [`Atlas::texels`]; each row sums to 1.
     pub rows: SparseRows<PackedTap>,

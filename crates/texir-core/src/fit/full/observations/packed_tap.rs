@@ -10,9 +10,9 @@ use crate::texture::Tap;
 /// Units that the weights of a pixel have in all. Fewer would show: what albedo explains to a thousandth tells
 /// roughness.
 const OF_PIXEL: u16 = u16::MAX;
-/// Units that a stratum has in all, in bits,
+/// Bits of a weight: all weights of a stratum sum to 2^BITS − 1.
 const BITS: usize = 4;
-/// and as a number.
+/// Sum of the weights of a stratum.
 const OF_STRATUM: u16 = (1 << BITS) - 1;
 const _: () = assert!(STRATA * BITS <= u16::BITS as usize, "strata do not fit");
 

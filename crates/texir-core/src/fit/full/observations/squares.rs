@@ -17,9 +17,9 @@ pub struct Squares {
     width: usize,
     /// Rows of pixels in a square.
     pub edge: usize,
-    /// By row of squares: pixels across one,
+    /// By row of squares: pixels across one.
     across: Vec<usize>,
-    /// and the number of the first; at last that of all.
+    /// By row of squares: the number of the first; at last that of all.
     first: Vec<usize>,
 }
 
