@@ -14,14 +14,13 @@ use crate::surface::SurfacePoint;
 /// The largest hole in light sources, as a share of all of them.
 const HOLE: f32 = 0.1;
 
-/// Finds the texels that send out more than an albedo of `ratio` would reflect of what arrives, L > ratio · E/π, and
-/// that stand out from their room, L > ratio · mean L; in luminance (Rec. 709). `rooms` tells the room of each texel:
-/// beside a room in the sun, a lamp in the dark is one all the same. Where views see such a texel, the median of what
-/// they see must pass as well: in the texture, a lamp bleeds into what is seen beside and behind it. What is joined to
-/// such texels on the surface belongs to them as long as it passes half the `ratio`: the darker part of a window, a
-/// lamp's shade. What they enclose on the surface is one of them: irradiance is noisy close to them. What no view sees
-/// is a light source only where the texture was filled with one's light: elsewhere it may well be brighter than the
-/// little that arrives in the gap behind a wardrobe.
+/// Finds the texels that send out more than an albedo of `ratio` would reflect, L > ratio · E/π, and stand out from their
+/// room, L > ratio · mean L; in luminance (Rec. 709), with `rooms` by texel, so that a lamp in the dark is found beside a
+/// sunny room. Where views see such a texel, the median of what they see must pass too: in the texture, lamps bleed into
+/// what is beside and behind them. Sources then grow along the surface over texels with L > ½ ratio · E/π (the darker
+/// part of a window, a lamp's shade), and holes in them are filled, as irradiance is noisy there. Unseen texels count only
+/// where the texture was filled with a source's light: elsewhere they may well be brighter than the little that arrives in
+/// the gap behind a wardrobe.
 pub fn find(
     backend: &mut dyn Backend,
     (atlas, adjacency, rooms): (&Atlas, &Adjacency, &[u16]),

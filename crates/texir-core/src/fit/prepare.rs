@@ -1,4 +1,4 @@
-//! What a fit sets out with: the light of the scene, in a unit that numbers here hold well, and the views.
+//! What a fit starts from: the light of the scene, scaled to about 1, and the views.
 
 use std::path::Path;
 
@@ -45,7 +45,7 @@ pub(super) fn prepare(
     };
     if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
         progress.warn(&format!(
-            "the HDR texture has {} texels, and fit.atlas_size asks for {}: it is not used, but made anew of the views",
+            "the HDR texture has {} texels, and fit.atlas_size asks for {}: it is ignored, and a new one is built from the views",
             times(tbl.radiance.size()),
             times(size)
         ));

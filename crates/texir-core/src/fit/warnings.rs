@@ -17,8 +17,8 @@ pub(super) fn little_seen(atlas: &Atlas, mesh: &Mesh, is_seen: &[bool]) -> Optio
     }
     (seen < LITTLE * all).then(|| {
         format!(
-            "training views see {:.0} % of the surface; the rest takes materials of what is like it (confidence.exr tells how well they are \
-             known): more views from other places show more",
+            "training views see {:.0} % of the surface; the rest is filled in from similar surfaces (confidence.exr tells how \
+             well its roughness is known): views from other places would show more",
             100.0 * seen / all
         )
     })

@@ -279,8 +279,7 @@ fn find_metals(
     problem.metal = vec![true; segments.segment.len()];
     let mut albedo = problem.start();
     let evidence = scan::scan(problem, "metal", &settings.roughness, &mut albedo, progress)?;
-    let pixels = settings.roughness.segment_pixels;
-    let metal = metals::find([&scanned.tallies, &evidence.by_segment()], pixels, &settings.metallic);
+    let metal = metals::find([&scanned.tallies, &evidence.by_segment()], &settings.metallic);
     problem.metal = segments.segment.iter().map(|s| metal[*s as usize]).collect();
     scanned.evidence.replace(&evidence, &metal);
     (&mut scanned.albedo, albedo, &problem.metal)

@@ -51,13 +51,15 @@ pub struct MetallicSettings {
     /// By how much metal must explain a segment better than a dielectric: the fall of the logarithm of its mean cost.
     /// Few things in a room are bare metal.
     pub gain: f32,
+    /// Pixels that a segment must have.
+    pub min_pixels: u32,
     /// Roughness up to which metal can be told from a dielectric.
     pub max_roughness: f32,
 }
 
 impl Default for MetallicSettings {
     fn default() -> Self {
-        Self { enabled: false, gain: 0.3, max_roughness: 0.5 }
+        Self { enabled: false, gain: 0.3, min_pixels: 100, max_roughness: 0.5 }
     }
 }
 

@@ -1,9 +1,8 @@
 //! The ends of boards, and of tiles and bricks laid in bond: lines across the strips between regular lines.
 //!
-//! Boards of one floor have one length, and every strip of them begins where it likes. So one length is sought for all
-//! strips of a chart, by the likelihood of what they show: at its ends, a strip should be about as dark as the lines
-//! beside it are, and nowhere tells as little as where no view shows it. Each strip shifts the length to where it
-//! explains it best.
+//! Boards of one floor have one length, and every strip of them its own offset. So one length is sought for all strips of
+//! a chart, by the log-likelihood ratio of ends to no ends, each strip at its best offset: ends should be about as dark as
+//! the lines beside the strip, and what no view shows counts 0.
 
 use rayon::prelude::*;
 

@@ -129,7 +129,7 @@ impl Profile {
 
     /// By how many standard errors lines stand out, and they with the width that they have; if that is enough.
     fn accepted(&self, (stands_out, comb): StandsOut, away: f32) -> Option<(f32, Comb)> {
-        // A line as wide as `away` is what rows are compared with up to half more from its middle.
+        // Rows up to 1.5 `away` from a line's middle may have been compared with the line itself.
         let beside = (1.5 * away).min(comb.period / 3.0);
         let between = (0..self.0.len()).filter(|row| comb.distance(*row as f32) > beside);
         let [squares, all] = between

@@ -57,7 +57,7 @@ impl LineCoverage {
     }
 }
 
-/// What surfaces are painted with. Lists are per texel.
+/// The logarithm of albedo, and what it takes to look for lines in it. Lists are per texel.
 pub struct LogAlbedo<'a> {
     /// The logarithm of albedo, mean of the channels.
     pub ln: &'a [f32],
@@ -81,8 +81,8 @@ impl LogAlbedo<'_> {
     /// A texel at distance d along it counts e^(−d/`reach`). None where texels are wider than lines may be: they show a
     /// line and what it divides as one.
     pub fn straight(&self, course: &Straight, width: f32) -> Vec<Option<Polarity>> {
-        /// Where two paints meet, either is by half of their step beside the mean of both: all of the contrast is step.
-        /// What is a line by itself has a part of its own, the rest.
+        /// At a step edge |contrast| equals half the step between the two sides; at a line it is more. Half the step must stay
+        /// below this share of |contrast|.
         const STEP: f32 = 0.75;
         if self.texel > width {
             return vec![None; self.ln.len()];
@@ -132,10 +132,10 @@ impl LogAlbedo<'_> {
         (next != NONE && self.segment[next as usize] == self.segment[t]).then_some(next as usize)
     }
 
-    /// By how much each texel is brighter than the mean of those some steps away on both sides, half of what these
-    /// differ by, both in ln a, and 1; 0 where one of the three is not seen.
+    /// [ln a less the mean of the seen texels `away` steps to both sides, half the difference of those two, weight 1];
+    /// zeros where one of the three is not seen.
     pub(super) fn contrast(&self, sides: [usize; 2], away: usize) -> Vec<[f32; 3]> {
-        /// What differs by more is no albedo_map, such as the rim of what stands there.
+        /// Larger differences are not paint but, say, the rim of what stands there.
         const MOST: f32 = 0.3;
         let seen = |t: &usize| self.is_seen[*t];
         let of_texel = |t: usize| {
@@ -309,7 +309,7 @@ pub(super) mod tests {
             found(uneven, 0.0, |albedo_map| albedo_map.straight(course, settings.width))[0]
         };
         for course in &settings.straight {
-            // Nor do edges between boards of uneven albedo_map.
+            // Nor do edges between boards of uneven paint.
             for uneven in [0.0, 0.2] {
                 assert!(share(uneven, course) < 0.02, "{course:?} {uneven}");
             }

@@ -344,7 +344,7 @@ mod tests {
     #[test]
     fn what_pixels_see_of_regular_joints_is_not_their_surfaces() {
         // Segment 0 has texel 0 beside its joint, texel 1; segment 1 likewise 2 and 3. The lines of segment 2, texel 5,
-        // may be albedo_map.
+        // may be paint.
         let lines = Lines {
             covered: [false, true, false, true, false, true]
                 .map(|on| on.then_some(LineCoverage::full(Polarity::Darker)))

@@ -37,8 +37,8 @@ impl Patch {
         Self { mixed: points.iter().any(|point| !first.like(&at(point))), ..first }
     }
 
-    /// Whether both are parts of one flat surface of one class. Pixels across an edge are like each other only: beyond
-    /// it may lie what reflects a window that the surface does not.
+    /// Whether both are parts of one flat surface of one class. Pixels across an edge match only each other: what lies
+    /// beyond it may reflect a window that the surface does not.
     pub fn like(&self, other: &Self) -> bool {
         let apart = other.position - self.position;
         self.mixed == other.mixed

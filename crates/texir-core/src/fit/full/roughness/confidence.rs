@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use super::evidence::Tally;
-use super::finishes::{BlockGrid, Place, SplitTally};
+use super::finishes::{Block, BlockGrid, BlockKey};
 use crate::specular_table::{NODES, node};
 
 /// Variance of a roughness drawn by chance.
@@ -26,25 +26,20 @@ struct Moments {
 /// square of its distance from the truth is expected to be that of a roughness drawn by chance, √(1/12), or more. In
 /// between it falls with that distance. `blocks` is what [`BlockGrid::blocks`] holds, `segments` what the pixels of each
 /// segment weight.
-pub fn confidence(
-    grid: &BlockGrid<'_>,
-    blocks: &[(Place, SplitTally)],
-    segments: &[Tally],
-    roughness: &[f32],
-) -> Vec<f32> {
+pub fn confidence(grid: &BlockGrid<'_>, blocks: &[Block], segments: &[Tally], roughness: &[f32]) -> Vec<f32> {
     let segments: Vec<[f32; NODES]> = segments.iter().map(Tally::ln_likelihood).collect();
-    let of_block = |(place, halves): &(Place, SplitTally)| {
-        let (own, segment) = (Tally::sum(halves.iter()).ln_likelihood(), &segments[place.0 as usize]);
-        (*place, moments(&std::array::from_fn(|k| own[k] + segment[k])))
+    let of_block = |block: &Block| {
+        let (own, segment) = (block.all().ln_likelihood(), &segments[block.key.segment as usize]);
+        (block.key, moments(&std::array::from_fn(|k| own[k] + segment[k])))
     };
-    let blocks: BTreeMap<Place, Moments> = blocks.par_iter().map(of_block).collect();
+    let blocks: BTreeMap<BlockKey, Moments> = blocks.par_iter().map(of_block).collect();
     let unseen: Vec<Moments> = segments.iter().map(moments).collect();
     let of_texel = |(t, r): (usize, &f32)| {
         let squared_distance: f32 = grid
             .between(t)
             .iter()
-            .map(|(place, near)| {
-                let Moments { mean, square } = blocks.get(place).unwrap_or(&unseen[place.0 as usize]);
+            .map(|(key, near)| {
+                let Moments { mean, square } = blocks.get(key).unwrap_or(&unseen[key.segment as usize]);
                 near * (square - 2.0 * mean * r + r * r)
             })
             .sum();

@@ -30,37 +30,59 @@ pub struct BlockGrid<'a> {
     pub block: f32,
 }
 
-/// Segment, face, column and row of a block.
-pub type Place = (u32, u32, i32, i32);
+/// Which block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct BlockKey {
+    /// Segment, and face of it.
+    pub segment: u32,
+    pub face: u32,
+    /// Column and row in the atlas, in blocks.
+    pub column: i32,
+    pub row: i32,
+}
 
-/// Tallies of a block's pixels, by half of the views.
-pub type SplitTally = [Tally; 2];
+/// A block that pixels see.
+#[derive(Clone)]
+pub struct Block {
+    /// Which.
+    pub key: BlockKey,
+    /// Tallies of its pixels, by half of the views.
+    pub halves: [Tally; 2],
+}
 
-/// Blocks in the order of their places.
-pub type BlockList = [(Place, SplitTally)];
+impl Block {
+    /// The tally of all its pixels.
+    pub fn all(&self) -> Tally {
+        Tally::sum(self.halves.iter())
+    }
+}
 
 impl BlockGrid<'_> {
-    /// The blocks that pixels see, in the order of their places. Pixels have a `dominant` texel, the one that they see
+    /// The blocks that pixels see, in the order of their keys. Pixels have a `dominant` texel, the one that they see
     /// most of, or [`NONE`], and belong to a `half` of the views ([`Evidence::halves`]).
-    pub fn blocks(&self, evidence: &Evidence, dominant: &[u32], half: &[u8]) -> Vec<(Place, SplitTally)> {
-        let mut blocks: BTreeMap<Place, SplitTally> = BTreeMap::new();
+    pub fn blocks(&self, evidence: &Evidence, dominant: &[u32], half: &[u8]) -> Vec<Block> {
+        let mut blocks: BTreeMap<BlockKey, [Tally; 2]> = BTreeMap::new();
         for (pixel, &t) in dominant.iter().enumerate().filter(|(_, t)| **t != NONE) {
             let t = t as usize;
-            let [x, y] = self.column_row(t).map(|at| at as i32);
-            let halves = blocks.entry((self.segment[t], self.face[t], x, y)).or_default();
+            let halves = blocks.entry(self.key(t, self.column_row(t))).or_default();
             halves[usize::from(half[pixel])].add(evidence, pixel);
         }
-        blocks.into_iter().collect()
+        blocks.into_iter().map(|(key, halves)| Block { key, halves }).collect()
     }
 
     /// The four blocks around a texel with their bilinear weights.
-    pub fn between(&self, t: usize) -> [(Place, f32); 4] {
+    pub fn between(&self, t: usize) -> [(BlockKey, f32); 4] {
         let [x, y] = self.column_row(t).map(|at| at - 0.5);
         [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)].map(|(dx, dy)| {
             let (bx, by) = (x.floor() + dx, y.floor() + dy);
             let near = (1.0 - (x - bx).abs()) * (1.0 - (y - by).abs());
-            ((self.segment[t], self.face[t], bx as i32, by as i32), near)
+            (self.key(t, [bx, by]), near)
         })
+    }
+
+    /// The block of a texel's face at a column and a row.
+    fn key(&self, t: usize, [column, row]: [f32; 2]) -> BlockKey {
+        BlockKey { segment: self.segment[t], face: self.face[t], column: column as i32, row: row as i32 }
     }
 
     /// Where a texel is, in blocks.
@@ -73,8 +95,8 @@ impl BlockGrid<'_> {
 /// [`BlockGrid::blocks`] by all pixels, which locate the finishes, and by those that see no joints, which give their
 /// roughness (where there are enough).
 pub struct BlockTallies {
-    pub all: Vec<(Place, SplitTally)>,
-    pub without_joints: Vec<(Place, SplitTally)>,
+    pub all: Vec<Block>,
+    pub without_joints: Vec<Block>,
 }
 
 /// Roughness of every texel where segments have two finishes, from the `roughness` by segment and colour. `whole` is
@@ -86,15 +108,15 @@ pub fn refine(
     roughness: &[f32],
     settings: &FinishSettings,
 ) -> Vec<f32> {
-    let segments: Vec<&BlockList> = all.chunk_by(|a, b| a.0.0 == b.0.0).collect();
-    let changes: BTreeMap<Place, f32> = segments
+    let segments: Vec<&[Block]> = all.chunk_by(|a, b| a.key.segment == b.key.segment).collect();
+    let changes: BTreeMap<BlockKey, f32> = segments
         .into_par_iter()
         .flat_map_iter(|blocks| two_finishes(blocks, without_joints, whole, settings))
         .collect();
     let blended = |t: usize| {
         let (mut sum, mut weight) = (0.0, 0.0);
-        for (place, near) in grid.between(t) {
-            if let Some(times) = changes.get(&place) {
+        for (key, near) in grid.between(t) {
+            if let Some(times) = changes.get(&key) {
                 sum += near * times;
                 weight += near;
             }
@@ -107,12 +129,12 @@ pub fn refine(
 /// How many times as rough as their segment its blocks are; nothing where one finish is as good. `without_joints` has those
 /// of all segments.
 fn two_finishes(
-    blocks: &BlockList,
-    without_joints: &BlockList,
+    blocks: &[Block],
+    without_joints: &[Block],
     whole: &[f32],
     settings: &FinishSettings,
-) -> Vec<(Place, f32)> {
-    let own: Vec<Tally> = blocks.iter().map(|(_, halves)| Tally::sum(halves.iter())).collect();
+) -> Vec<(BlockKey, f32)> {
+    let own: Vec<Tally> = blocks.iter().map(Block::all).collect();
     let neighbours = Neighbours::of(blocks);
     let pair = best_pair(&own, &neighbours);
     let trust = ramp(settings.gain, gain(blocks, &neighbours, pair, settings));
@@ -122,18 +144,18 @@ fn two_finishes(
     if trust == 0.0 || of_all.iter().any(few) {
         return Vec::new();
     }
-    let of_plain = |(place, _): &(Place, SplitTally)| {
-        let block = without_joints.binary_search_by_key(place, |(place, _)| *place).ok();
-        block.map_or(Tally::default(), |block| Tally::sum(without_joints[block].1.iter()))
+    let of_plain = |block: &Block| {
+        let block = without_joints.binary_search_by_key(&block.key, |block| block.key).ok();
+        block.map_or(Tally::default(), |block| without_joints[block].all())
     };
     let plain = finishes(&blocks.iter().map(of_plain).collect::<Vec<_>>(), &rough);
-    let whole = whole[blocks[0].0.0 as usize];
+    let whole = whole[blocks[0].key.segment as usize];
     let times = [0, 1].map(|finish| {
         let says = if few(&plain[finish]) { &of_all[finish] } else { &plain[finish] };
         (minimum(&says.misfit()) / whole).powf(trust)
     });
     let of_block = |share: &f64| times[0] + *share as f32 * (times[1] - times[0]);
-    blocks.iter().map(|(place, _)| *place).zip(rough.iter().map(of_block)).collect()
+    blocks.iter().map(|block| block.key).zip(rough.iter().map(of_block)).collect()
 }
 
 /// The two nodes, smoother first, that explain the blocks best: of all pairs, each block taking the better of the two,
@@ -168,17 +190,17 @@ fn finishes(tallies: &[Tally], rough: &[f64]) -> [Tally; 2] {
 
 /// Held-out gain: fall of the log mean cost from the other half's best single finish to the one of `pair` further from
 /// it, weighted by that half's shares; times n/(n + `half_pixels`), 0 if n is.
-fn gain(blocks: &BlockList, neighbours: &Neighbours, pair: [usize; 2], settings: &FinishSettings) -> f32 {
+fn gain(blocks: &[Block], neighbours: &Neighbours, pair: [usize; 2], settings: &FinishSettings) -> f32 {
     let (mut judged, mut one, mut two) = (Tally::default(), 0.0, 0.0);
     for [mine, other] in [[0, 1], [1, 0]] {
-        let asks: Vec<Tally> = blocks.iter().map(|(_, halves)| halves[other]).collect();
+        let asks: Vec<Tally> = blocks.iter().map(|block| block.halves[other]).collect();
         let single = Tally::sum(asks.iter()).best_node();
         let second = usize::from(single.abs_diff(pair[0]) < single.abs_diff(pair[1]));
         let rough = neighbours.shares(&asks, pair);
-        for (((_, halves), asks), rough) in blocks.iter().zip(&asks).zip(rough) {
+        for ((block, asks), rough) in blocks.iter().zip(&asks).zip(rough) {
             // Of blocks that it does not see, the other half says nothing.
             if asks.pixels > 0.0 {
-                let block = halves[mine].times([1.0 - rough, rough][second]);
+                let block = block.halves[mine].times([1.0 - rough, rough][second]);
                 judged.merge(&block);
                 one += block.cost[single];
                 two += block.cost[pair[second]];
@@ -201,19 +223,20 @@ struct Neighbours {
 }
 
 impl Neighbours {
-    fn of(blocks: &BlockList) -> Self {
-        let face_after = |end: &mut usize, face: &BlockList| {
+    fn of(blocks: &[Block]) -> Self {
+        let face_after = |end: &mut usize, face: &[Block]| {
             let first = std::mem::replace(end, *end + face.len());
             Some(first..*end)
         };
-        let at = |place: Place| blocks.binary_search_by_key(&place, |(place, _)| *place).ok();
-        let beside = |&(segment, face, x, y): &Place| {
+        let at = |key: BlockKey| blocks.binary_search_by_key(&key, |block| block.key).ok();
+        let beside = |block: &Block| {
+            let BlockKey { column: x, row: y, .. } = block.key;
             let around = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
-            around.into_iter().filter_map(|(x, y)| at((segment, face, x, y))).collect()
+            around.into_iter().filter_map(|(column, row)| at(BlockKey { column, row, ..block.key })).collect()
         };
         Self {
-            faces: blocks.chunk_by(|a, b| a.0.1 == b.0.1).scan(0, face_after).collect(),
-            beside: blocks.iter().map(|(place, _)| beside(place)).collect(),
+            faces: blocks.chunk_by(|a, b| a.key.face == b.key.face).scan(0, face_after).collect(),
+            beside: blocks.iter().map(beside).collect(),
         }
     }
 

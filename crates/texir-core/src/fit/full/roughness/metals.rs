@@ -7,9 +7,8 @@ use crate::fit::settings::MetallicSettings;
 use crate::specular_table::{NODES, node};
 
 /// The segments that metal explains better than a dielectric by `settings.gain`, at a roughness at which it can be
-/// told; of those with `pixels` or more. What the pixels of the segments say is given twice: as if they were
-/// dielectrics, and as if metal.
-pub fn find([dielectric, metal]: [&[Tally]; 2], pixels: f32, settings: &MetallicSettings) -> Vec<bool> {
+/// told; of those with enough pixels. The segments' tallies are given twice: as dielectrics, and as metals.
+pub fn find([dielectric, metal]: [&[Tally]; 2], settings: &MetallicSettings) -> Vec<bool> {
     let least = |tally: &Tally| -> (f32, usize) {
         let misfit = tally.misfit();
         let best = (0..NODES).min_by(|a, b| misfit[*a].total_cmp(&misfit[*b])).unwrap_or(0);
@@ -17,7 +16,7 @@ pub fn find([dielectric, metal]: [&[Tally]; 2], pixels: f32, settings: &Metallic
     };
     let is_metal = |(dielectric, metal): (&Tally, &Tally)| {
         let ((as_dielectric, _), (as_metal, best)) = (least(dielectric), least(metal));
-        metal.pixels >= f64::from(pixels)
+        metal.pixels >= f64::from(settings.min_pixels)
             && as_dielectric - as_metal > settings.gain
             && node(best) <= settings.max_roughness
     };

@@ -80,8 +80,8 @@ impl Labels {
         let agreed = class.agreement();
         if agreed < AGREED {
             progress.warn(&format!(
-                "semantic_path: of what views say of the class of the same places, {:.0} % agrees; expected nearly all. Are the images of these \
-                 photos, and their ids those of classes, the same in every view?",
+                "semantic_path: of the views' votes on each texel's class, {:.0} % agrees with the majority; expected nearly all. Do \
+                 the images belong to these photos, and are their ids classes, the same in every view?",
                 100.0 * agreed
             ));
         }
