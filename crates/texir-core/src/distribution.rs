@@ -1,10 +1,6 @@
-//! Drawing one of several in proportion to weights, by inverting their running sums; and what is worth drawing.
+//! Drawing one of several in proportion to weights, by inverting their running sums.
 
-/// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct
-/// light of a smaller contrast is found well enough by cosine samples.
-pub(crate) const CONTRAST: f32 = 3.0;
-
-/// The item at `u` in [0, 1) of cdf probabilities, and how far `u` lies within its share, in [0, 1): what is
+/// Inverts a CDF: the item at `u` in [0, 1), and how far `u` lies within its share, in [0, 1): what is
 /// left of a number that chose an item is still uniform, so that well-spread points stay so within each item.
 pub fn sample_cdf(items: usize, cdf: impl Fn(usize) -> f32, u: f32) -> (usize, f32) {
     let (mut low, mut high) = (0, items - 1);

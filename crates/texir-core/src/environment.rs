@@ -4,8 +4,9 @@ use std::f64::consts::{PI, TAU};
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::distribution::{CONTRAST, cdf, sample_cdf};
+use crate::distribution::{cdf, sample_cdf};
 use crate::error::{Error, Result};
+use crate::lights::CONTRAST;
 use crate::raster::{Rgb, luminance};
 use crate::real::{Real, V3};
 

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::raster::mean_of_channels;
 use crate::stats::median;
-use crate::surface::SurfacePoint;
+use crate::surface::{SurfacePoint, facing};
 
 /// Sizes of cells that are tried: from the finest, each twice the one before.
 const LEVELS: usize = 12;
@@ -31,7 +31,7 @@ const BLACK: f32 = 1e-6;
 /// typical texel, metres.
 pub(crate) fn fill(points: &[SurfacePoint], known: &[Option<[f32; 3]>], texel: f32) -> Vec<[f32; 3]> {
     let limit = source_limit(known);
-    let group: Vec<u32> = points.par_iter().map(|p| facing(p.normal.into())).collect();
+    let group: Vec<u32> = points.par_iter().map(|p| facing(p.normal.into()) as u32).collect();
     fill_groups(points, &group, known, |value| mean_of_channels(value) <= limit, texel)
 }
 
@@ -129,11 +129,4 @@ impl NestedGrids {
         // A sliver of a far cell is no basis.
         (blend.weight > 0.05).then_some(blend)
     }
-}
-
-/// Which of the six axis directions a normal is closest to; of several, the first. (The light tables take the last:
-/// their twin in WGSL does.)
-fn facing(normal: Vec3) -> u32 {
-    let axis = normal.abs().max_position();
-    2 * axis as u32 + u32::from(normal[axis] < 0.0)
 }

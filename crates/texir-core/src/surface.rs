@@ -114,3 +114,11 @@ impl SurfacePoint {
         Self { position: position.to_array(), normal: (-normal).to_array(), ..*self }
     }
 }
+
+/// Which of the six axis directions a normal is nearest to: +x, −x, +y, −y, +z, −z; of several, the last, as in the
+/// shaders' light tables.
+pub(crate) fn facing(normal: Vec3) -> usize {
+    let [x, y, z] = normal.abs().to_array();
+    let axis = if x > y && x > z { 0 } else { 1 + usize::from(z >= y) };
+    2 * axis + usize::from(normal[axis] < 0.0)
+}

@@ -13,6 +13,7 @@ use crate::error::{Result, listed};
 use crate::progress::{Progress, Task};
 use crate::raster::{Rgb, luminance, mean_of_channels, mean_pixel};
 use crate::stats::median;
+use crate::surface::facing;
 use crate::tbl::exposure::{self, Sighting};
 use crate::tbl::pose;
 
@@ -342,8 +343,7 @@ impl Share {
 }
 
 fn cell(at: Vec3, front: Vec3) -> Cell {
-    let axis = front.abs().max_position();
-    ((at / CELL).floor().as_ivec3().to_array(), 2 * axis as u8 + u8::from(front[axis] < 0.0))
+    ((at / CELL).floor().as_ivec3().to_array(), facing(front) as u8)
 }
 
 /// Whether a value is another, but for what resampling does to it.

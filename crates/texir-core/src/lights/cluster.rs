@@ -2,8 +2,8 @@
 
 use glam::Vec3;
 
-use super::facing;
 use crate::mesh::{Mesh, bounds};
+use crate::surface::facing;
 
 /// Most clusters of a scene. Fewer make a table a worse fit; more cost memory and shadow rays, and leave each too few
 /// samples to spread well (docs/irradiance.md).

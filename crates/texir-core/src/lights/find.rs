@@ -1,8 +1,8 @@
 //! Which triangles are light sources, told by the HDR texture.
 
-use super::{LightTriangle, Lights, cluster, learn};
+use super::{CONTRAST, LightTriangle, Lights, cluster, learn};
 use crate::atlas::Atlas;
-use crate::distribution::{CONTRAST, cdf};
+use crate::distribution::cdf;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::raster::{Rgb, luminance, times};

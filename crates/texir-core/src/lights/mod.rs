@@ -15,6 +15,11 @@ use glam::Vec3;
 use crate::distribution::sample_cdf;
 use crate::mesh::Mesh;
 use crate::real::{Real, V3};
+use crate::surface::facing;
+
+/// A triangle counts as a light when its mean luminance is this many times the mean over the scene's surface: direct
+/// light of a smaller contrast is found well enough by cosine samples.
+pub(crate) const CONTRAST: f32 = 3.0;
 
 /// A sampled triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,7 +124,7 @@ impl Lights {
         self.tables[cluster] - if cluster > 0 { self.tables[cluster - 1] } else { 0.0 }
     }
 
-    /// The triangle of `cluster` at `u` of its cdf probability, and how far `u` lies within the triangle's
+    /// The triangle of `cluster` at `u` of its CDF, and how far `u` lies within the triangle's
     /// share.
     pub fn triangle(&self, cluster: usize, u: f32) -> (u32, f32) {
         let members = &self.triangles[self.clusters[cluster] as usize..self.clusters[cluster + 1] as usize];
@@ -145,13 +150,6 @@ pub fn point_on<R: Real>(mesh: &Mesh, triangle: u32, [u, v]: [f32; 2]) -> V3<R> 
     let root = R::of(f64::from(u)).sqrt();
     let v = R::of(f64::from(v));
     a * (R::of(1.0) - root) + b * (root * (R::of(1.0) - v)) + c * (root * v)
-}
-
-/// Which of the six axis directions a normal is nearest to.
-fn facing(normal: Vec3) -> usize {
-    let [x, y, z] = normal.abs().to_array();
-    let axis = if x > y && x > z { 0 } else { 1 + usize::from(z >= y) };
-    2 * axis + usize::from(normal[axis] < 0.0)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use std::collections::{HashMap, HashSet};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Fusion;
+use super::fusion::Fusion;
 use super::joined::Joined;
 use super::looks::Looks;
 use super::photo::Photo;

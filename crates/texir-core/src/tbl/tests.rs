@@ -5,14 +5,18 @@ use std::sync::Arc;
 
 use glam::{Mat4, Vec2, Vec3};
 
+use super::joined::Joined;
 use super::*;
 use crate::camera::Projection;
 use crate::capture::Split;
 use crate::cpu::CpuBackend;
 use crate::image_io::write_rgb;
+use crate::inpaint;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::raster::{Mask, Rgb, mean_of_channels, mean_pixel};
+use crate::scene::Scene;
+use crate::surface::SurfacePoint;
 
 const SIZE: [usize; 2] = [384, 256];
 const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);

@@ -10,7 +10,7 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Fusion;
+use super::fusion::Fusion;
 use super::joined::Joined;
 use crate::backend::{Backend, Gather};
 use crate::error::Result;
