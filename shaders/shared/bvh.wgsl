@@ -20,8 +20,8 @@ const MISS: u32 = 0xffffffffu;
 const T_FAR: f32 = 1e30;
 // Entries of the traversal stack: one per level of the hierarchy, which has at most 31 (hierarchy.rs).
 const STACK_SIZE: u32 = 32u;
-// Relative bias of back-face hits, which count as BACK_FACE_BIAS · (t + max |origin|) further: of two coincident triangles that
-// face opposite ways, a ray meets the one that faces it (the twin's BACK_FACE_BIAS).
+// Relative bias of back-face hits, which count as BACK_FACE_BIAS · (t + max |origin|) further: of two coincident
+// triangles that face opposite ways, a ray meets the one that faces it (the twin's BACK_FACE_BIAS).
 const BACK_FACE_BIAS: f32 = 7.62939453125e-6;
 // Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
 const SLAB_ROUNDING: f32 = 1.00000024;

@@ -32,8 +32,8 @@ struct LightGrid {
 // Entry 0 stands for all that is no light (density 0); then the lights, cluster by cluster.
 @group(0) @binding(5) var<storage, read> light_primitives: array<LightPrimitive>;
 // Three concatenated lists, as eight storage buffers are the default limit: per primitive, its light's entry above; per
-// cell (x fastest) and facing, six to a cell, the number of its table; per cluster its first light, and at last where the
-// lights end.
+// cell (x fastest) and facing, six to a cell, the number of its table; per cluster its first light, and at last where
+// the lights end.
 @group(0) @binding(6) var<storage, read> light_index: array<u32>;
 // Tables of a number per cluster: the probability of it and those before it.
 @group(0) @binding(7) var<storage, read> light_tables: array<f32>;

@@ -44,8 +44,8 @@ pub struct Atlas {
 }
 
 impl Atlas {
-    /// Maps every texel of `[width, height]` to the backend's mesh. Errors when no texel is covered, or a side is longer
-    /// than [`MAX_SIDE`]. Where charts overlap or leave [0, 1], texels are another surface's or missing;
+    /// Maps every texel of `[width, height]` to the backend's mesh. Errors when no texel is covered, or a side is
+    /// longer than [`MAX_SIDE`]. Where charts overlap or leave [0, 1], texels are another surface's or missing;
     /// `mesh_io::atlas_report` tells.
     pub fn new(backend: &mut dyn Backend, [width, height]: [usize; 2]) -> Result<Self> {
         let mut atlas = Self { width, height, texels: Vec::new(), points: Vec::new(), inside: Vec::new() };

@@ -66,8 +66,8 @@ pub enum Sequences {
         /// Which stretch.
         part: u32,
     },
-    /// The points are texels of a map `width` texels wide, their indices row · width + column. Each block of 32 ×
-    /// 32 shares one sequence, of which its texels draw consecutive stretches in order of a Z curve. A texel's own error
+    /// The points are texels of a map `width` texels wide, their indices row · width + column. Each block of 32 × 32
+    /// shares one sequence, of which its texels draw consecutive stretches in order of a Z curve. A texel's own error
     /// is as with [`Sequences::Own`], but neighbours' errors cancel, which leaves a denoiser less to remove (Ahmed and
     /// Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of Pixels",
     /// SIGGRAPH Asia 2020).
@@ -76,8 +76,8 @@ pub enum Sequences {
         width: u32,
         /// Which part of its stretch a texel draws: less than `parts`.
         part: u32,
-        /// In how many parts its stretch is drawn, at least 1: the mean of the gathers of all parts is the gather of that
-        /// many times the rays.
+        /// In how many parts its stretch is drawn, at least 1: the mean of the gathers of all parts is the gather of
+        /// that many times the rays.
         parts: u32,
     },
 }
@@ -275,8 +275,8 @@ pub trait Backend {
     /// The scene that the passes run on.
     fn scene(&self) -> &Arc<Scene>;
 
-    /// Sets the radiance texture that [`Backend::irradiance`], [`Backend::shade`] and [`Backend::specular_tables`] look up
-    /// at ray hits (linear RGB, nearest texel), and the lights in it that the first and the last sample. Errors on
+    /// Sets the radiance texture that [`Backend::irradiance`], [`Backend::shade`] and [`Backend::specular_tables`] look
+    /// up at ray hits (linear RGB, nearest texel), and the lights in it that the first and the last sample. Errors on
     /// radiance outside 0 to [`MAX_RADIANCE`], and on lights of another mesh.
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
 
@@ -309,8 +309,8 @@ pub trait Backend {
     ) -> Result<Vec<[f32; 3]>>;
 
     /// Denoise: the mean of two gathers of irradiance at every point without most of its noise ([`crate::denoise`]). A
-    /// result depends on points within about 25 texels, to the bit, unless some neighbourhood holds over 65,000 points: a
-    /// GPU then leaves all to the CPU, which rounds differently. `progress` is only polled for cancellation.
+    /// result depends on points within about 25 texels, to the bit, unless some neighbourhood holds over 65,000 points:
+    /// a GPU then leaves all to the CPU, which rounds differently. `progress` is only polled for cancellation.
     fn denoise(&mut self, noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[f32; 3]>>;
 
     /// Projects points into a view and tests visibility through the BVH.

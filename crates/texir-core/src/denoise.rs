@@ -9,8 +9,8 @@
 //! Renderings", EGSR 2016). And what both halves have beyond their fits is no noise: it stays, which keeps shadows too
 //! thin for the fit to see.
 //!
-//! Where few samples carry most of the light (fireflies), each half takes the other's for noise and loses them. The mean
-//! loss of texels of similar brightness, as far as it is significant, is therefore added back to them.
+//! Where few samples carry most of the light (fireflies), each half takes the other's for noise and loses them. The
+//! mean loss of texels of similar brightness, as far as it is significant, is therefore added back to them.
 //!
 //! The pass is [`Backend::denoise`](crate::backend::Backend::denoise); this is what its implementations share.
 
@@ -40,8 +40,8 @@ pub const TOLERANCE: f32 = 2.0;
 /// How much curvature is expected: standard deviation of the quadratic coefficients over the fit's radius, as a share
 /// of the value. Noise makes the fit as linear as this lets it.
 pub const CURVATURE: f32 = 0.5;
-/// The halves' residual covariance counts as signal as far as it exceeds this many times the residual's variance: halves
-/// that are parts of one lattice are correlated, where independent ones are not.
+/// The halves' residual covariance counts as signal as far as it exceeds this many times the residual's variance:
+/// halves that are parts of one lattice are correlated, where independent ones are not.
 pub const RESIDUAL_THRESHOLD: f32 = 1.25;
 /// What is lost on average is given back as far as it is more than this many of its standard errors.
 pub const LOSS_SIGMAS: f32 = 2.0;

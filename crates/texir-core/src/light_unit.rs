@@ -1,5 +1,5 @@
-//! Scales radiance to about 1 before computing, as some steps drop radiance below a thousandth and half floats and shared
-//! exponents have little range: results do not depend on the capture's unit (nits, shares of white).
+//! Scales radiance to about 1 before computing, as some steps drop radiance below a thousandth and half floats and
+//! shared exponents have little range: results do not depend on the capture's unit (nits, shares of white).
 
 use crate::capture::View;
 use crate::error::Result;

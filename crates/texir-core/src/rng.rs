@@ -77,8 +77,9 @@ pub fn lattice2(i: u32, offset: [u32; 2]) -> [f32; 2] {
 /// Cells along an edge of a square that [`scrambled_morton`] goes through.
 pub const MORTON_SIDE: u32 = 32;
 
-/// Index of a cell of a [`MORTON_SIDE`]² square along a Z-order (Morton) curve, Owen-scrambled by `seed`: halves come in a
-/// random order at every level, so that no pattern shows. Every aligned square of 2^k cells a side is still one run.
+/// Index of a cell of a [`MORTON_SIDE`]² square along a Z-order (Morton) curve, Owen-scrambled by `seed`: halves come
+/// in a random order at every level, so that no pattern shows. Every aligned square of 2^k cells a side is still one
+/// run.
 pub fn scrambled_morton(cell: [u32; 2], seed: u32) -> u32 {
     const BITS: u32 = 2 * MORTON_SIDE.ilog2();
     let [x, y] = cell.map(|v| {

@@ -44,8 +44,8 @@ pub struct Bake {
     /// Side of the map, texels [default: the HDR texture's; 1024 for authored scenes]
     #[arg(long, value_name = "N", value_parser = side())]
     size: Option<usize>,
-    /// Rays per texel (a maximum with --error): half cosine-distributed, half towards lights; rounded up to a multiple of
-    /// 4 (2 with --cosine-only) unless --no-denoise is used without --error and --error-map
+    /// Rays per texel (a maximum with --error): half cosine-distributed, half towards lights; rounded up to a multiple
+    /// of 4 (2 with --cosine-only) unless --no-denoise is used without --error and --error-map
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = rays())]
     spp: u32,
     /// Stop sampling a texel once its standard error is below this share of its luminance (0.02: 2 %), before denoising
@@ -54,8 +54,8 @@ pub struct Bake {
     /// Write the standard error of every texel's luminance, before denoising, as NAME_error.exr beside the map
     #[arg(long)]
     error_map: bool,
-    /// Do not aim rays at light sources: noisier near small lamps; best with --no-denoise, since denoising removes some of
-    /// the light that few rays find
+    /// Do not aim rays at light sources: noisier near small lamps; best with --no-denoise, since denoising removes some
+    /// of the light that few rays find
     #[arg(long)]
     cosine_only: bool,
     /// Skip denoising: unbiased, for measurements or high --spp
@@ -66,8 +66,8 @@ pub struct Bake {
     #[cfg(feature = "oidn")]
     #[arg(long, conflicts_with_all = ["no_denoise", "max_memory"])]
     oidn: bool,
-    /// Fill up to four texels inside other geometry (floor under a cupboard) from lit neighbours, so that filtering does
-    /// not bleed dark into visible texels
+    /// Fill up to four texels inside other geometry (floor under a cupboard) from lit neighbours, so that filtering
+    /// does not bleed dark into visible texels
     #[arg(long)]
     fill_buried: bool,
     /// Memory limit, such as 2GiB; larger maps are baked in parts, through scratch files beside the output, with

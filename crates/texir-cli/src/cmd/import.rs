@@ -42,8 +42,8 @@ pub struct Import {
 /// What the user knows better than the files.
 #[derive(Clone, Debug, Args)]
 pub struct SourceArgs {
-    /// Read the folder as this format instead of detecting it: nerfstudio, colmap, blender, panoramas, gltf, matterport3d
-    /// or texir-authors
+    /// Read the folder as this format instead of detecting it: nerfstudio, colmap, blender, panoramas, gltf,
+    /// matterport3d or texir-authors
     #[arg(long, value_name = "NAME")]
     format: Option<String>,
     /// Up direction in the source: +z, -y, ... or X,Y,Z

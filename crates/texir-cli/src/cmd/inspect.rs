@@ -31,7 +31,8 @@ pub struct Inspect {
     capture: CaptureArgs,
     #[command(flatten)]
     source: SourceArgs,
-    /// Write every view with the mesh's edges drawn over it; edges that miss the photo's show a wrong pose, scale or mesh
+    /// Write every view with the mesh's edges drawn over it; edges that miss the photo's show a wrong pose, scale or
+    /// mesh
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
 }

@@ -26,11 +26,13 @@ use crate::session::Session;
 pub enum Command {
     /// Make a synthetic flat, path-trace it and fit it: everything at once, without any input
     Demo(demo::Demo),
-    /// Dry run: report what a capture (or files to import) contains, check cameras, images and atlas, estimate a fit's cost
+    /// Dry run: report what a capture (or files to import) contains, check cameras, images and atlas, estimate a fit's
+    /// cost
     Inspect(inspect::Inspect),
     /// Merge bracketed exposures of one view to a linear image
     Hdr(hdr::Hdr),
-    /// Convert other programs' output to a capture: COLMAP, nerfstudio, Blender, glTF, Matterport3D, lists of panoramas, ...
+    /// Convert other programs' output to a capture: COLMAP, nerfstudio, Blender, glTF, Matterport3D, lists of
+    /// panoramas, ...
     Import(import::Import),
     /// Build the HDR texture (texture-based lighting) of a capture from its views
     Tbl(tbl::Tbl),

@@ -16,8 +16,8 @@ const STEPS: f32 = 4.0;
 /// Strangers meet at more of the texels than this before it is told: charts that touch in a point do no harm.
 const SHARE: f64 = 0.02;
 
-/// What to tell the user where charts lie so close together in a map of `[width, height]` texels that one leaks into the
-/// other; `None` where they do not.
+/// What to tell the user where charts lie so close together in a map of `[width, height]` texels that one leaks into
+/// the other; `None` where they do not.
 pub fn crowded(backend: &mut dyn Backend, size: [usize; 2]) -> Result<Option<String>> {
     let share = beside_strangers(backend, size)?;
     let [width, height] = size;
@@ -53,8 +53,8 @@ fn beside_strangers(backend: &mut dyn Backend, [width, height]: [usize; 2]) -> R
     Ok(strange as f64 / valid.max(1) as f64)
 }
 
-/// Whether two hits of a texel map, in texels beside each other, are apart on the surface, though one of them is blended
-/// with the other: what lies beyond a texel's centre is.
+/// Whether two hits of a texel map, in texels beside each other, are apart on the surface, though one of them is
+/// blended with the other: what lies beyond a texel's centre is.
 fn are_strangers(mesh: &Mesh, size: [usize; 2], texels: [&TexelHit; 2]) -> bool {
     if !texels.iter().any(|texel| texel.inside) {
         return false;

@@ -2,7 +2,8 @@
 //! emission (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
 //! Base colour is the albedo, also of metals, whose reflection is treated as diffuse; on request so is the specular
-//! reflection of dielectrics ([`BounceAlbedo`]). Alpha, vertex colours, skins and morph targets are ignored, with a warning.
+//! reflection of dielectrics ([`BounceAlbedo`]). Alpha, vertex colours, skins and morph targets are ignored, with a
+//! warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::FRAC_PI_2;

@@ -101,8 +101,8 @@ impl Surfaces {
         self.lights.iter().try_for_each(PunctualLight::check)
     }
 
-    /// Identity of a bake of these surfaces, for its checkpoints; `settings` must hold the map's size, the backend's name
-    /// and [`Bounces::quality`]; the tolerance and the number of bounces need not be in it.
+    /// Identity of a bake of these surfaces, for its checkpoints; `settings` must hold the map's size, the backend's
+    /// name and [`Bounces::quality`]; the tolerance and the number of bounces need not be in it.
     pub fn identity(&self, mesh: &Mesh, settings: impl Hash) -> String {
         // Numbers in words are read back to the same bits.
         let (albedo, lights) = (cast_slice::<_, u8>(&self.albedo.data), format!("{:?}", self.lights));

@@ -1,4 +1,5 @@
-//! Two half-gathers of every texel, whose difference estimates the error; on request in rounds, until it is small enough.
+//! Two half-gathers of every texel, whose difference estimates the error; on request in rounds, until it is small
+//! enough.
 //!
 //! Every round but the first doubles a texel's rays. Which texels take part in the next is told by their neighbours:
 //! were a texel to stop when its own samples look good, it would stop at lucky values, which are too dark more often
@@ -220,8 +221,8 @@ fn joined(before: &Gathered, last: &Gathered, round: usize) -> Gathered {
 }
 
 /// Both halves' gathers, by rounds. Without `error` there is one round, on sequences that texels of a map `width` wide
-/// share; the halves are two parts of a texel's stretch, which have less error than independent ones but overestimate it
-/// by a fifth. With `error` the halves are independent; where it is above 0, texels stop at different times and have
+/// share; the halves are two parts of a texel's stretch, which have less error than independent ones but overestimate
+/// it by a fifth. With `error` the halves are independent; where it is above 0, texels stop at different times and have
 /// sequences of their own, a short first round and others that each double the samples so far.
 fn rounds(gather: Gather, error: Option<f32>, width: usize) -> Vec<[Gather; 2]> {
     let half = Gather { cosine: gather.cosine / 2, light: gather.light / 2, ..gather };

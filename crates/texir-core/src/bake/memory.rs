@@ -26,8 +26,8 @@ const RADIANCE: u64 = 64;
 /// The program, and what it does a piece at a time.
 const BASE: u64 = 48 << 20;
 
-/// Points of a neighbourhood with which work is not mostly at its borders: with [`POINT`] bytes each, what docs/baking.md
-/// calls room to work in.
+/// Points of a neighbourhood with which work is not mostly at its borders: with [`POINT`] bytes each, what
+/// docs/baking.md calls room to work in.
 const FEWEST: u64 = 1 << 18;
 
 /// The workspace that keeps a bake within `limit`: memory if a map of `[width, height]` texels, all of them valid, fits
@@ -55,9 +55,9 @@ pub fn workspace_within(
     Ok(Workspace::Disk { folder: folder.to_owned(), memory: ByteSize(limit.0 - beside) })
 }
 
-/// [`workspace_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it has of
-/// every texel besides goes to files where it does not fit. `materials` are the bytes of the scene as it was read, and
-/// of an environment.
+/// [`workspace_within`] for a bake with bounces, which has what surfaces emit, reflect and send on in memory: what it
+/// has of every texel besides goes to files where it does not fit. `materials` are the bytes of the scene as it was
+/// read, and of an environment.
 pub fn bounce_workspace_within(
     limit: ByteSize,
     folder: &Path,

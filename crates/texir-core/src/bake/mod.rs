@@ -1,7 +1,7 @@
 //! Irradiance bake: every texel gathers the texture-based lighting through the scene (the paper's IrT).
 //!
-//! Per-texel data lies in arrays, in memory or in files ([`Workspace`]). Gathers go through them in tiles, denoising and
-//! error estimates in blocks of space, output in rows; how they are cut does not change a bit of the result.
+//! Per-texel data lies in arrays, in memory or in files ([`Workspace`]). Gathers go through them in tiles, denoising
+//! and error estimates in blocks of space, output in rows; how they are cut does not change a bit of the result.
 
 mod baked_texels;
 mod blocks;

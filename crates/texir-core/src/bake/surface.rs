@@ -28,8 +28,8 @@ pub(super) struct Surface<'a> {
     pub texel: f32,
 }
 
-/// A block's texels of similar size. Neighbourhood radii are multiples of it: in multiples of the map's median texel, all
-/// texels of a small, finely mapped object would be neighbours of each other.
+/// A block's texels of similar size. Neighbourhood radii are multiples of it: in multiples of the map's median texel,
+/// all texels of a small, finely mapped object would be neighbours of each other.
 pub(super) struct Alike {
     /// Edge of a typical one, metres.
     pub texel: f32,

@@ -1,9 +1,9 @@
 //! Renders the flat: global illumination with the material model that texir fits.
 //!
 //! Outgoing radiance is emission + a/π·E + the GGX lobe of [`crate::brdf`] (metallic 0). E comes from
-//! [`super::irradiance`]: direct light and all diffuse bounces, solved once in the atlas. The lobe is integrated per pixel
-//! by tracing: one lobe sample per sub-pixel sample and per bounce, and emitter samples, several at the first bounce,
-//! joined by multiple importance sampling.
+//! [`super::irradiance`]: direct light and all diffuse bounces, solved once in the atlas. The lobe is integrated per
+//! pixel by tracing: one lobe sample per sub-pixel sample and per bounce, and emitter samples, several at the first
+//! bounce, joined by multiple importance sampling.
 //!
 //! Included: every path of diffuse bounces; up to [`RenderOptions::specular_bounces`] specular reflections in a row
 //! before the camera; between diffuse surfaces up to one (caustics of lamps and of lit surfaces). Left out: longer

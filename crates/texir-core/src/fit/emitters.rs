@@ -14,13 +14,13 @@ use crate::surface::SurfacePoint;
 /// The largest hole in light sources, as a share of all of them.
 const HOLE: f32 = 0.1;
 
-/// Finds the texels that send out more than an albedo of `ratio` would reflect, L > ratio · E/π, and stand out from their
-/// room, L > ratio · mean L; in luminance (Rec. 709), with `rooms` by texel, so that a lamp in the dark is found beside a
-/// sunny room. Where views see such a texel, the median of what they see must pass too: in the texture, lamps bleed into
-/// what is beside and behind them. Sources then grow along the surface over texels with L > ½ ratio · E/π (the darker
-/// part of a window, a lamp's shade), and holes in them are filled, as irradiance is noisy there. Unseen texels count only
-/// where the texture was filled with a source's light: elsewhere they may well be brighter than the little that arrives in
-/// the gap behind a wardrobe.
+/// Finds the texels that send out more than an albedo of `ratio` would reflect, L > ratio · E/π, and stand out from
+/// their room, L > ratio · mean L; in luminance (Rec. 709), with `rooms` by texel, so that a lamp in the dark is found
+/// beside a sunny room. Where views see such a texel, the median of what they see must pass too: in the texture, lamps
+/// bleed into what is beside and behind them. Sources then grow along the surface over texels with L > ½ ratio · E/π
+/// (the darker part of a window, a lamp's shade), and holes in them are filled, as irradiance is noisy there. Unseen
+/// texels count only where the texture was filled with a source's light: elsewhere they may well be brighter than the
+/// little that arrives in the gap behind a wardrobe.
 pub fn find(
     backend: &mut dyn Backend,
     (atlas, adjacency, rooms): (&Atlas, &Adjacency, &[u16]),

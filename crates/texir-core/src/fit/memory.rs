@@ -43,17 +43,17 @@ pub fn needed(settings: &FitSettings, [width, height]: [usize; 2], pixels: u64, 
     ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + Scene::memory(mesh))
 }
 
-/// Side of the atlas of a fit that names none: [`tbl::default_side`], as far as its textures leave half of the memory to
-/// views.
+/// Side of the atlas of a fit that names none: [`tbl::default_side`], as far as its textures leave half of the memory
+/// to views.
 pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usize {
     let side = tbl::default_side(views);
     let textures = needed(settings, [side, side], 0, mesh).0;
     if 2 * textures <= settings.max_memory.0 { side } else { DEFAULT_SIDE }
 }
 
-/// The views as the fit reads them: reduced by the least factor that leaves at most four pixels per texel in all and keeps
-/// to `settings.max_memory`; then as many as the rest allows at the next finer factor that divides them. Errors when the
-/// textures alone exceed it.
+/// The views as the fit reads them: reduced by the least factor that leaves at most four pixels per texel in all and
+/// keeps to `settings.max_memory`; then as many as the rest allows at the next finer factor that divides them. Errors
+/// when the textures alone exceed it.
 pub fn affordable(
     views: &[View],
     (mesh, atlas): (&Mesh, &Atlas),

@@ -216,8 +216,8 @@ pub fn identity(capture: &Capture, settings: &FitSettings, backend: &dyn Backend
     Ok(format!("texir {version}\n{name}\ncapture {captured:016x}\n{settings:?}\n"))
 }
 
-/// Irradiance of an atlas, 0 at buried texels (inside other geometry), as theirs is no light of the room; but their rim is
-/// filled from the lit texels beside it.
+/// Irradiance of an atlas, 0 at buried texels (inside other geometry), as theirs is no light of the room; but their rim
+/// is filled from the lit texels beside it.
 fn without_buried(mut baked: Baked, atlas: &Atlas) -> Result<Rgb> {
     baked.irradiance.iter_mut().zip(&baked.buried).filter(|(_, inside)| **inside).for_each(|(e, _)| *e = [0.0; 3]);
     baked.map(atlas, bake::Buried::Fill)

@@ -3,8 +3,8 @@
 use crate::raster::Raster;
 use crate::texture::Pyramid;
 
-/// Push–pull fill: a texel that is not `known` takes the value of the finest mip texel over it that holds anything known,
-/// a mip texel being the unweighted mean of those of its four children that do. Black where nothing is.
+/// Push–pull fill: a texel that is not `known` takes the value of the finest mip texel over it that holds anything
+/// known, a mip texel being the unweighted mean of those of its four children that do. Black where nothing is.
 pub(super) fn filled<const N: usize>(map: &Raster<[f32; N]>, known: &[bool]) -> Raster<[f32; N]> {
     let levels = Pyramid::new(map.width, map.height, known).levels;
     let mut values: Vec<Option<[f32; N]>> =

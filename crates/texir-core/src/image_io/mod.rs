@@ -285,8 +285,8 @@ impl std::fmt::Display for Sanitised {
     }
 }
 
-/// Sets pixels with a channel that is NaN, infinite or above 1e35 to `unknown` in all channels, and negative channels to 0; counts
-/// the pixels.
+/// Sets pixels with a channel that is NaN, infinite or above 1e35 to `unknown` in all channels, and negative channels
+/// to 0; counts the pixels.
 pub fn sanitise_radiance(image: &mut Rgb, unknown: f32) -> Sanitised {
     let mut found = Sanitised::default();
     for pixel in &mut image.data {

@@ -13,8 +13,8 @@ use crate::surface::SurfacePoint;
 const CHOSEN: usize = 1 << 20;
 
 impl Lights {
-    /// The triangles with more than three times the scene's mean luminance in `radiance`, with cluster tables learned by
-    /// shadow rays. Errors unless `atlas` has the size of `radiance` and is one of the scene's mesh.
+    /// The triangles with more than three times the scene's mean luminance in `radiance`, with cluster tables learned
+    /// by shadow rays. Errors unless `atlas` has the size of `radiance` and is one of the scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
         let (own, others) = ([atlas.width, atlas.height], radiance.size());
         if own != others || radiance.data.len() != radiance.width * radiance.height {

@@ -43,8 +43,8 @@ pub struct LightGrid {
     pub per_metre: f32,
     /// Cells along each axis.
     pub size: [u32; 3],
-    /// Per cell (x fastest) and facing, six to a cell: which of [`Lights::tables`] holds there; 0, the global one, where
-    /// nothing was learned.
+    /// Per cell (x fastest) and facing, six to a cell: which of [`Lights::tables`] holds there; 0, the global one,
+    /// where nothing was learned.
     pub tables: Vec<u32>,
 }
 

@@ -57,8 +57,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Builds the BVH. Errors on a mesh that fails [`Mesh::check`], has more than 2²⁷ triangles, or coordinates that are
-    /// not finite or exceed 1e9 m. A mesh that is merely far from the origin is accepted, though its light will be
+    /// Builds the BVH. Errors on a mesh that fails [`Mesh::check`], has more than 2²⁷ triangles, or coordinates that
+    /// are not finite or exceed 1e9 m. A mesh that is merely far from the origin is accepted, though its light will be
     /// inaccurate: see [`Mesh::misplaced`].
     pub fn new(mesh: Mesh) -> Result<Self> {
         Self::check(&mesh)?;

@@ -19,17 +19,17 @@ pub struct TraceHit<R> {
     pub back: bool,
 }
 
-/// Relative bias of back-face hits, which count as BACK_FACE_BIAS · (t + max |origin|) further: of two coincident triangles that
-/// face opposite ways (exporters' double-sided geometry), a ray meets the one that faces it, instead of whichever rounding
-/// favours. 0.08 mm at ten metres.
+/// Relative bias of back-face hits, which count as BACK_FACE_BIAS · (t + max |origin|) further: of two coincident
+/// triangles that face opposite ways (exporters' double-sided geometry), a ray meets the one that faces it, instead of
+/// whichever rounding favours. 0.08 mm at ten metres.
 pub const BACK_FACE_BIAS: f64 = 1.0 / (1 << 17) as f64;
 
 /// Something that finds the closest hit of a ray.
 pub trait Trace<R: Real>: Sync {
     /// The mesh that is traced.
     fn mesh(&self) -> &Mesh;
-    /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs count as [`BACK_FACE_BIAS`]
-    /// further.
+    /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs count as
+    /// [`BACK_FACE_BIAS`] further.
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>>;
 }
 

@@ -26,8 +26,8 @@ const SIDE: usize = 256;
 /// Scales of the Cauchy weights of successive solutions, in ln L: from differences between exposures to those between
 /// reflections.
 const SCALES: [f64; 10] = [2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.05, 0.05, 0.05, 0.05];
-/// Keeps the exposures of views that share no surface with others where they are, up to the normalisation: the weight of
-/// that, in observations.
+/// Keeps the exposures of views that share no surface with others where they are, up to the normalisation: the weight
+/// of that, in observations.
 const ANCHOR: f64 = 1e-6;
 /// Darker pixels hold noise, where views are about 1 bright.
 const DARK: f32 = 1e-4;

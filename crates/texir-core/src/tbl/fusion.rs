@@ -52,8 +52,8 @@ pub(super) struct Fusion<'a> {
 
 impl Fusion<'_> {
     /// The TBL from the radiance of the texels that are seen: light sources are separated from their surroundings, and
-    /// unseen texels filled; first from `given` where it was inpainted, unless it shines there: an earlier fill may have
-    /// spread a lamp's light over the ceiling behind it.
+    /// unseen texels filled; first from `given` where it was inpainted, unless it shines there: an earlier fill may
+    /// have spread a lamp's light over the ceiling behind it.
     pub fn complete(
         &self,
         backend: &mut dyn Backend,

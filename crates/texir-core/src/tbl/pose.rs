@@ -60,16 +60,16 @@ const MIN_COSINE: f32 = 0.2;
 /// Keeps the logarithm of black finite, where views are about 1 bright.
 const BLACK: f32 = 1e-4;
 
-/// The views' refined poses (camera to world). If the median view would move by less than 0.25 pixels RMS, all that would
-/// move by less than 0.6 keep their pose.
+/// The views' refined poses (camera to world). If the median view would move by less than 0.25 pixels RMS, all that
+/// would move by less than 0.6 keep their pose.
 pub fn refine(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Mat4>> {
     let (pictures, points) = (pictures(views, progress)?, points(backend)?);
     let refined = refine_pictures(backend, &pictures, &points, ROUNDS, progress)?;
     Ok(refined.iter().map(|picture| picture.camera.world_from_camera).collect())
 }
 
-/// Rough misalignment of each view, in its own pixels, RMS; `None` below 0.6 pixels of an image that is reduced to pixels
-/// of 0.2° where its own are narrower. Costs a fraction of [`refine`].
+/// Rough misalignment of each view, in its own pixels, RMS; `None` below 0.6 pixels of an image that is reduced to
+/// pixels of 0.2° where its own are narrower. Costs a fraction of [`refine`].
 pub fn out_of_place(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<Option<f32>>> {
     let (pictures, points) = (pictures(views, progress)?, some_of(&points(backend)?, FEWEST_TEXELS));
     let refined = refine_pictures(backend, &pictures, &points, FEW_ROUNDS, progress)?;

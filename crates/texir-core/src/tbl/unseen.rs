@@ -35,10 +35,10 @@ impl PartialOrd for Front {
     }
 }
 
-/// Gives texels that are not `seen` the mean radiance of what is seen of their source. A triangle without a seen texel is
-/// part of one if the nearest triangle along the surface that has some shines. Texels brighter than `limit` (mean over the
-/// channels) shine. Texels that are known to be no source count as seen, whatever their radiance: a window's frame does
-/// not shine where its pixels show mostly panes.
+/// Gives texels that are not `seen` the mean radiance of what is seen of their source. A triangle without a seen texel
+/// is part of one if the nearest triangle along the surface that has some shines. Texels brighter than `limit` (mean
+/// over the channels) shine. Texels that are known to be no source count as seen, whatever their radiance: a window's
+/// frame does not shine where its pixels show mostly panes.
 pub(super) fn shine(mesh: &Mesh, joined: &Joined, atlas: &Atlas, limit: f32, seen: &[bool], radiance: &mut [[f32; 3]]) {
     let known = light_of_seen(mesh, atlas, limit, seen, radiance);
     let light = of_sources(&sources(mesh, joined, &known), joined, &known);

@@ -38,8 +38,8 @@ pub struct Authored {
     /// Luminance of an environment value of 1, in nits
     #[arg(long, value_name = "NITS", default_value_t = 1.0, requires = "environment", value_parser = not_negative)]
     environment_nits: f32,
-    /// Stop when further bounces would add less than this share of all light, and in 99 % of the map less than four times
-    /// this share of the local light [default: 0.005]
+    /// Stop when further bounces would add less than this share of all light, and in 99 % of the map less than four
+    /// times this share of the local light [default: 0.005]
     #[arg(long, value_name = "SHARE", value_parser = not_negative)]
     tolerance: Option<f32>,
     /// Maximum number of bounces; 0 bakes direct light only [default: 64]
@@ -82,8 +82,8 @@ struct Summary {
     rays: u64,
     /// Mean irradiance of the direct light and of every bounce, lux.
     irradiance_by_bounce: Vec<f64>,
-    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where bounces do
-    /// not fall off.
+    /// Estimated share of all light that further bounces would add; absent after direct light alone, and where bounces
+    /// do not fall off.
     remainder: Option<f64>,
     /// The same of the local light, 99th percentile over squares of the map.
     remainder_p99: f64,

@@ -90,8 +90,8 @@ impl BakedTexels {
         Ok(sums.into_iter().map(|(sum, count)| (count >= ENOUGH).then(|| sum / f64::from(count))).collect())
     }
 
-    /// Marks texels whose luminance is above `dark` as outside other geometry: with black back faces, a lit texel is never
-    /// inside, however many back faces its rays meet (under a roof of one sheet, in an open box).
+    /// Marks texels whose luminance is above `dark` as outside other geometry: with black back faces, a lit texel is
+    /// never inside, however many back faces its rays meet (under a roof of one sheet, in an open box).
     pub(crate) fn mark_lit_outside(&mut self, texels: &Texels<'_>, dark: f32) -> Result<()> {
         for items in texels.pieces() {
             let (irradiance, outside) = (self.irradiance.get(&items)?, self.outside.get(&items)?);

@@ -13,8 +13,8 @@ use crate::neighbours::{Entry, FAR, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, Neigh
 use crate::progress::Progress;
 use crate::real::Real;
 
-/// A per-point result from sums over the points within [`RADIUS`], of which it reads `TOLD` numbers each. Its methods at a
-/// point must be inlined, to be compiled for the instructions that [`each`] dispatches to.
+/// A per-point result from sums over the points within [`RADIUS`], of which it reads `TOLD` numbers each. Its methods
+/// at a point must be inlined, to be compiled for the instructions that [`each`] dispatches to.
 pub trait Pass<R: Real, const TOLD: usize>: Sync {
     /// What is known of a point and summed over those around it.
     type Sums;

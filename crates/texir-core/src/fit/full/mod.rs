@@ -181,8 +181,8 @@ fn recover(
     })
 }
 
-/// Albedo drawn to the few colours of its segment; of unseen texels, and of outliers, inpainted, as is their `roughness`;
-/// of light sources that make up much of a segment, grey.
+/// Albedo drawn to the few colours of its segment; of unseen texels, and of outliers, inpainted, as is their
+/// `roughness`; of light sources that make up much of a segment, grey.
 fn completed(
     context: &FitContext<'_>,
     irradiance: &[Vec3A],
@@ -214,8 +214,8 @@ fn apparent_albedo(context: &FitContext<'_>, irradiance: &[Vec3A]) -> Vec<Vec3A>
     of_texels(&context.tbl.radiance, context.atlas).into_iter().zip(irradiance).map(of_texel).collect()
 }
 
-/// Irradiance that keeps a E, and with it the images' diffuse part, as albedo is replaced by the `painted` one, at texels
-/// where the images `depends` on it; by a factor of ten at most.
+/// Irradiance that keeps a E, and with it the images' diffuse part, as albedo is replaced by the `painted` one, at
+/// texels where the images `depends` on it; by a factor of ten at most.
 fn compensated_irradiance(
     irradiance: &[Vec3A],
     (albedo, painted): (&[Vec3A], &[Vec3A]),

@@ -776,6 +776,6 @@ fn segments_without_evidence_take_what_is_nearest_to_them_in_the_hierarchy() {
     let [unknown, room, elsewhere, other] = found([0.3, 0.6, 0.7])[..] else { panic!() };
     assert!((room - 0.3).abs() < 0.02 && (elsewhere - 0.6).abs() < 0.02 && (other - 0.7).abs() < 0.02);
     assert!((0.29..0.42).contains(&unknown), "{unknown} in a room where its class has 0.3, and 0.6 in another");
-    // Nothing is as rough as chalk by what pixels alone weight.
+    // Nothing is as rough as chalk by what pixels alone say.
     assert_eq!(found([1.0, 0.6, 0.7])[1], settings.cap);
 }

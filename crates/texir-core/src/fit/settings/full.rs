@@ -15,8 +15,8 @@ pub struct FullSettings {
     /// Whether light sources of a given HDR texture are made to explain the pixels that show them, as those of one
     /// built from the views are.
     pub resolve_sources: bool,
-    /// Number of alternations: irradiance is gathered anew from the light that surfaces send by the materials found so far
-    /// (without highlights, also where no view sees), and all is fitted again. 0: the HDR texture as it is.
+    /// Number of alternations: irradiance is gathered anew from the light that surfaces send by the materials found so
+    /// far (without highlights, also where no view sees), and all is fitted again. 0: the HDR texture as it is.
     pub alternations: u32,
     /// Pixels of one flat surface share their light samples in blocks about this wide, degrees.
     pub block_angle: f32,
@@ -93,8 +93,8 @@ impl FullSettings {
         rounds
     }
 
-    /// For rounds that only give the light surfaces send and the diffuse model: a third of the light samples, blocks twice
-    /// as wide, half the nodes, no joints.
+    /// For rounds that only give the light surfaces send and the diffuse model: a third of the light samples, blocks
+    /// twice as wide, half the nodes, no joints.
     fn coarse(&self) -> Self {
         let mut coarse = self.clone();
         for samples in [&mut coarse.lobe_samples, &mut coarse.cosine_samples, &mut coarse.light_samples] {
@@ -124,8 +124,8 @@ impl DiffuseChoice {
 pub struct FinishSettings {
     /// Edge of a block, metres.
     pub block: f32,
-    /// Held-out gain (fall of the log mean cost) at which a second finish is trusted half: one half of the views estimates
-    /// its shares, the other half is scored.
+    /// Held-out gain (fall of the log mean cost) at which a second finish is trusted half: one half of the views
+    /// estimates its shares, the other half is scored.
     pub gain: f32,
     /// Pixels at which that gain counts half.
     pub half_pixels: f32,
@@ -164,8 +164,8 @@ impl Default for SimilaritySettings {
 pub struct AcceptanceSettings {
     /// Weight of the segment's roughness as a prior.
     pub prior: f32,
-    /// Held-out gain (fall of the log mean cost of the part's pixels) at which it is trusted half: each half of the views
-    /// asks for one, scored on the other.
+    /// Held-out gain (fall of the log mean cost of the part's pixels) at which it is trusted half: each half of the
+    /// views asks for one, scored on the other.
     pub gain: f32,
     /// Pixels at which that gain counts half; it counts less with fewer.
     pub half_pixels: f32,
@@ -252,8 +252,8 @@ pub struct AlbedoSettings {
     pub iterations: u32,
 }
 
-/// Roughness by a scan, and priors of groups: a prior of weight p adds p (2 (r − r_prior))² to the log mean cost, so that
-/// a weight of 0.1 costs 0.5 away as much as a mean cost 10 % higher.
+/// Roughness by a scan, and priors of groups: a prior of weight p adds p (2 (r − r_prior))² to the log mean cost, so
+/// that a weight of 0.1 costs 0.5 away as much as a mean cost 10 % higher.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RoughnessSettings {

@@ -49,8 +49,8 @@ pub struct FitSettings {
     pub irradiance_samples: u32,
     /// What the fit may have in memory, such as "2 GiB": views are read at a lower resolution to keep to it.
     pub max_memory: ByteSize,
-    /// A texel is a light source where its radiance exceeds both ratio · E/π (what an albedo of this value would reflect)
-    /// and ratio times its room's mean radiance.
+    /// A texel is a light source where its radiance exceeds both ratio · E/π (what an albedo of this value would
+    /// reflect) and ratio times its room's mean radiance.
     pub emitter_ratio: f32,
     /// Paper mode.
     pub paper: PaperSettings,

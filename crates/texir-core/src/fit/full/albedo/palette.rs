@@ -73,8 +73,8 @@ impl Palettes {
         exp(colour + pull * (*mode - colour)).clamp(Vec3A::ZERO, Vec3A::ONE)
     }
 
-    /// Offsets of the segments' colours in one numbering of all, and at last their count. A segment without any counts as
-    /// one.
+    /// Offsets of the segments' colours in one numbering of all, and at last their count. A segment without any counts
+    /// as one.
     pub fn starts(&self) -> Vec<u32> {
         let ends = self.0.iter().scan(0, |end, colours| {
             *end += colours.len().max(1) as u32;

@@ -1,5 +1,5 @@
-//! The solver: conjugate gradients on the normal equations, weights taken anew between runs (iteratively re-weighted least
-//! squares), smoothed along edge weights.
+//! The solver: conjugate gradients on the normal equations, weights taken anew between runs (iteratively re-weighted
+//! least squares), smoothed along edge weights.
 
 use std::borrow::Cow;
 
@@ -11,8 +11,8 @@ use crate::fit::adjacency::NONE;
 use crate::fit::full::observations::packed_tap::PackedTap;
 
 impl AlbedoProblem<'_> {
-    /// Improves `albedo`, and keeps its `predicted` pixels in step, for the given target by `rounds` runs of `iterations`
-    /// steps of conjugate gradients.
+    /// Improves `albedo`, and keeps its `predicted` pixels in step, for the given target by `rounds` runs of
+    /// `iterations` steps of conjugate gradients.
     pub fn solve(
         &self,
         (albedo, predicted): (&mut [Vec3A], &mut [Vec3A]),
@@ -118,8 +118,8 @@ impl System<'_> {
         (out, product)
     }
 
-    /// The residual of the normal equations at `x`, whose forward model is `predicted`, and the inverse diagonal, in one
-    /// pass over the pixels.
+    /// The residual of the normal equations at `x`, whose forward model is `predicted`, and the inverse diagonal, in
+    /// one pass over the pixels.
     fn initial_state(&self, x: &[Vec3A], predicted: &[Vec3A]) -> Vec<CgState> {
         let p = self.problem;
         let means = p.segment_means(|t| p.seen.is_seen[t].then(|| x[t]));

@@ -1,8 +1,8 @@
 //! The ends of boards, and of tiles and bricks laid in bond: lines across the strips between regular lines.
 //!
-//! Boards of one floor have one length, and every strip of them its own offset. So one length is sought for all strips of
-//! a chart, by the log-likelihood ratio of ends to no ends, each strip at its best offset: ends should be about as dark as
-//! the lines beside the strip, and what no view shows counts 0.
+//! Boards of one floor have one length, and every strip of them its own offset. So one length is sought for all strips
+//! of a chart, by the log-likelihood ratio of ends to no ends, each strip at its best offset: ends should be about as
+//! dark as the lines beside the strip, and what no view shows counts 0.
 
 use rayon::prelude::*;
 

@@ -81,8 +81,8 @@ impl LogAlbedo<'_> {
     /// A texel at distance d along it counts e^(−d/`reach`). None where texels are wider than lines may be: they show a
     /// line and what it divides as one.
     pub fn straight(&self, course: &Straight, width: f32) -> Vec<Option<Polarity>> {
-        /// At a step edge |contrast| equals half the step between the two sides; at a line it is more. Half the step must stay
-        /// below this share of |contrast|.
+        /// At a step edge |contrast| equals half the step between the two sides; at a line it is more. Half the step
+        /// must stay below this share of |contrast|.
         const STEP: f32 = 0.75;
         if self.texel > width {
             return vec![None; self.ln.len()];

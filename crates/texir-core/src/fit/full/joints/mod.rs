@@ -144,8 +144,8 @@ impl Lines {
         rows.row(pixel).iter().map(of).sum()
     }
 
-    /// Segments of the pixels, [`NONE`] for those that regular lines cover by [`LEAST`] or more: they show another finish.
-    /// Segments that would keep too few pixels keep all.
+    /// Segments of the pixels, [`NONE`] for those that regular lines cover by [`LEAST`] or more: they show another
+    /// finish. Segments that would keep too few pixels keep all.
     pub fn without(&self, rows: &SparseRows<PackedTap>, segment: &[u32]) -> Vec<u32> {
         /// The share of a segment's pixels that are enough.
         const ENOUGH: f32 = 0.25;
@@ -305,7 +305,7 @@ mod tests {
     fn a_joint_that_covers_part_of_a_texel_has_part_of_it() {
         let joint = Joint { roughness: 0.4, trust: 1.0 };
         assert_eq!([0.0, 0.25, 1.0].map(|share| joint.on(0.2, share)), [0.2, 0.25, 0.4]);
-        // Half trust, it is half as far by the logarithm.
+        // Half trusted, it is half as far by the logarithm.
         assert!((Joint { trust: 0.5, ..joint }.on(0.1, 1.0) - 0.2).abs() < 1e-6);
     }
 

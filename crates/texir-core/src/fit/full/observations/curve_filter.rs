@@ -65,8 +65,8 @@ impl ReflectionPatch {
     }
 }
 
-/// The filtered curves of a view's blocks. `angle` is the edge of a block, radians, `width` the kernel's σ as a share of
-/// α.
+/// The filtered curves of a view's blocks. `angle` is the edge of a block, radians, `width` the kernel's σ as a share
+/// of α.
 pub fn filter(
     curves: &[Curve],
     blocks: &Blocks,

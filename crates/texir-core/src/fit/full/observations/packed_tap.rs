@@ -69,7 +69,7 @@ pub fn of_strata(shares: &[PackedTap], value: impl Fn(u32) -> f32) -> [f32; STRA
     sums.map(|sum| sum / f32::from(OF_STRATUM))
 }
 
-/// Weights, which sum to 1, in whole units, `all` together: what rounding is off by goes to the dominant_texel.
+/// Weights, which sum to 1, in whole units, `all` together: what rounding is off by goes to the heaviest.
 fn units(weights: &[f32], all: u16) -> Vec<u16> {
     let mut units: Vec<u16> = weights.iter().map(|weight| (weight * f32::from(all)).round() as u16).collect();
     let off = i32::from(all) - units.iter().map(|units| i32::from(*units)).sum::<i32>();

@@ -24,8 +24,7 @@ struct Moments {
 
 /// The confidence in `roughness`, of every texel: 1 where nothing else explains what is seen, 0 where the root mean
 /// square of its distance from the truth is expected to be that of a roughness drawn by chance, √(1/12), or more. In
-/// between it falls with that distance. `blocks` is what [`BlockGrid::blocks`] holds, `segments` what the pixels of each
-/// segment weight.
+/// between it falls with that distance. `blocks` are those of [`BlockGrid::blocks`], `segments` the segments' tallies.
 pub fn confidence(grid: &BlockGrid<'_>, blocks: &[Block], segments: &[Tally], roughness: &[f32]) -> Vec<f32> {
     let segments: Vec<[f32; NODES]> = segments.iter().map(Tally::ln_likelihood).collect();
     let of_block = |block: &Block| {

@@ -1,7 +1,7 @@
 //! Whether a part of a segment has a roughness of its own: its joints, a colour.
 //!
-//! Some roughness always fits a part's pixels better than its segment's, absorbing errors that differ from view to view.
-//! Hence two-fold cross-validation: what one half of the views asks for is scored on the other.
+//! Some roughness always fits a part's pixels better than its segment's, absorbing errors that differ from view to
+//! view. Hence two-fold cross-validation: what one half of the views asks for is scored on the other.
 
 use super::evidence::{Tally, minimum};
 use crate::fit::settings::AcceptanceSettings;
@@ -69,7 +69,7 @@ pub fn ramp(half: f32, value: f32) -> f32 {
     (value / half - 0.5).clamp(0.0, 1.0)
 }
 
-/// A roughness that is believed so far beside another; half trust, it is half as far by the logarithm.
+/// Interpolates from `parent` to `own` in ln r, by `trust`.
 pub fn lerp_ln(parent: f32, own: f32, trust: f32) -> f32 {
     parent * (own / parent).powf(trust)
 }

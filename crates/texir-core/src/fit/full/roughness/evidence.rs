@@ -43,8 +43,8 @@ impl Evidence {
         sum / count.max(1) as f64
     }
 
-    /// The half of the views, 0 or 1, that each pixel belongs to, for cross-validation: per segment, views are assigned by
-    /// descending weight, each to the half with the smaller sum. `views` are the numbers of pixels of the views.
+    /// The half of the views, 0 or 1, that each pixel belongs to, for cross-validation: per segment, views are assigned
+    /// by descending weight, each to the half with the smaller sum. `views` are the numbers of pixels of the views.
     pub fn halves(&self, views: &[usize]) -> Vec<u8> {
         let view_of_pixel = || (0..).zip(views).flat_map(|(view, pixels)| repeat_n(view, *pixels));
         let mut weights = vec![vec![0.0; views.len()]; self.slope.len()];
@@ -177,9 +177,9 @@ impl Tally {
     }
 }
 
-/// Weights of pixels by the areas that they show: proportional to the root of the area, 1 on average. A near view has many
-/// pixels on a surface, all with the same systematic errors: what it sees reflected, and an albedo that no other view
-/// contradicts.
+/// Weights of pixels by the areas that they show: proportional to the root of the area, 1 on average. A near view has
+/// many pixels on a surface, all with the same systematic errors: what it sees reflected, and an albedo that no other
+/// view contradicts.
 pub fn pixel_weights(area: &[f32]) -> Vec<f32> {
     let root: Vec<f32> = area.par_iter().map(|area| area.sqrt()).collect();
     let mean = root.iter().copied().map(f64::from).sum::<f64>() / root.len().max(1) as f64;
@@ -192,8 +192,8 @@ pub fn grey(e: Vec3A) -> f32 {
 }
 
 /// The cost of a residual e, ln(1 + |e|²/(2σ)²), |e|² being the squared mean of its channels plus `colour_weight` times
-/// their mean squared deviation from it: most errors of irradiance are alike in all channels, on surfaces that are nearly
-/// grey, while highlights have the colours of what they reflect.
+/// their mean squared deviation from it: most errors of irradiance are alike in all channels, on surfaces that are
+/// nearly grey, while highlights have the colours of what they reflect.
 pub fn cost(e: Vec3A, sigma: f32, colour_weight: f32) -> f32 {
     let grey = grey(e);
     let squared = grey * grey + colour_weight / 3.0 * (e - grey).length_squared();

@@ -1,9 +1,9 @@
 //! Roughness that varies within a segment: worn tracks, wet spots, a polished patch, a tiled wall among painted ones.
 //!
 //! A segment has one finish or a mixture of two. It is cut into square blocks of the atlas, each with a posterior share
-//! of the two by its pixels, its neighbours and its face: blocks of one tiled wall support each other, and uncertain ones
-//! stay in between. A second finish is trusted by its held-out gain: blocks are free enough to fit errors, which differ
-//! from view to view, so the shares that one half of the views estimates are scored on the other half.
+//! of the two by its pixels, its neighbours and its face: blocks of one tiled wall support each other, and uncertain
+//! ones stay in between. A second finish is trusted by its held-out gain: blocks are free enough to fit errors, which
+//! differ from view to view, so the shares that one half of the views estimates are scored on the other half.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -126,8 +126,8 @@ pub fn refine(
     (0..roughness.len()).into_par_iter().map(blended).collect()
 }
 
-/// How many times as rough as their segment its blocks are; nothing where one finish is as good. `without_joints` has those
-/// of all segments.
+/// How many times as rough as their segment its blocks are; nothing where one finish is as good. `without_joints` has
+/// those of all segments.
 fn two_finishes(
     blocks: &[Block],
     without_joints: &[Block],
@@ -240,10 +240,10 @@ impl Neighbours {
         }
     }
 
-    /// The posterior of the rougher finish of `pair` in each block, by its `tallies`, by its face's share as a prior, and
-    /// by the blocks beside it. A face's share is the mean of its blocks', shrunk to the segment's where pixels are few.
-    /// (Expectation maximisation over a mixture of two, the field of the neighbours by its mean; Celeux, Forbes and
-    /// Peyrard, "EM procedures using mean field-like approximations", 2003.)
+    /// The posterior of the rougher finish of `pair` in each block, by its `tallies`, by its face's share as a prior,
+    /// and by the blocks beside it. A face's share is the mean of its blocks', shrunk to the segment's where pixels are
+    /// few. (Expectation maximisation over a mixture of two, the field of the neighbours by its mean; Celeux, Forbes
+    /// and Peyrard, "EM procedures using mean field-like approximations", 2003.)
     fn shares(&self, tallies: &[Tally], [smooth, rough]: [usize; 2]) -> Vec<f64> {
         /// Log odds that a neighbour, all of one finish, adds to that finish.
         const NEIGHBOUR_LOG_ODDS: f64 = 1.0;

@@ -3,10 +3,10 @@
 //! Each group takes the roughness that explains its n pixels best, shrunk to its priors: the minimum over r of ln(mean
 //! cost(r)) + Σ (weight + n_prior/n) · (2 (r − r_prior))², for a segment plus the penalty on its albedo's variation
 //! ([`super::variation`]). The logarithm makes the first term a profile likelihood, the residuals' scale being unknown:
-//! pixels that no roughness explains well count little. It does not grow with n; more pixels only shrink n_prior/n, while
-//! constant weights stay, since errors here (irradiance, the BRDF model) are systematic and do not average out. Distances
-//! are in r, in which steps look alike: in ln r, a mirror would be further from what lies between it and chalk than chalk
-//! is.
+//! pixels that no roughness explains well count little. It does not grow with n; more pixels only shrink n_prior/n,
+//! while constant weights stay, since errors here (irradiance, the BRDF model) are systematic and do not average out.
+//! Distances are in r, in which steps look alike: in ln r, a mirror would be further from what lies between it and
+//! chalk than chalk is.
 
 use glam::Vec3A;
 

@@ -28,8 +28,8 @@ impl Prior {
     }
 }
 
-/// Roughness of every group by its pixels, shrunk to its `priors`. A group without pixels takes the mean of its priors by
-/// their pseudo-counts, or else by their weights.
+/// Roughness of every group by its pixels, shrunk to its `priors`. A group without pixels takes the mean of its priors
+/// by their pseudo-counts, or else by their weights.
 pub fn shrink<const N: usize>(groups: &[Tally], priors: &[[Prior; N]]) -> Vec<f32> {
     groups
         .par_iter()

@@ -1,9 +1,9 @@
 //! Similarity prior: the roughness to expect of a segment whose own pixels say little.
 //!
-//! Materials go with appearance more than with class. The rod of a curtain is wood or metal, like the legs of tables and
-//! unlike the cloth that hangs from it; the frame of a bed is not its mattress. A segment's roughness is predicted from
-//! all others', weighted by their trust and by similarity in colour, class and room: kernel regression (Nadaraya, "On
-//! Estimating Regression", 1964; Watson, "Smooth Regression Analysis", 1964) of ln r.
+//! Materials go with appearance more than with class. The rod of a curtain is wood or metal, like the legs of tables
+//! and unlike the cloth that hangs from it; the frame of a bed is not its mattress. A segment's roughness is predicted
+//! from all others', weighted by their trust and by similarity in colour, class and room: kernel regression (Nadaraya,
+//! "On Estimating Regression", 1964; Watson, "Smooth Regression Analysis", 1964) of ln r.
 
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
@@ -37,8 +37,9 @@ pub struct SegmentSummary {
     pub trust: f32,
 }
 
-/// The similarity prior of every segment: the kernel-weighted mean of the others' roughness, in ln r, with the weight of
-/// up to `segment_pixels` pixels, fewer where none is similar; [`RoughnessSettings::prior_mean`] without any evidence.
+/// The similarity prior of every segment: the kernel-weighted mean of the others' roughness, in ln r, with the weight
+/// of up to `segment_pixels` pixels, fewer where none is similar; [`RoughnessSettings::prior_mean`] without any
+/// evidence.
 pub fn priors(segments: &[SegmentSummary], settings: &RoughnessSettings) -> Vec<Prior> {
     let mut samples: Vec<(usize, &SegmentSummary)> =
         segments.iter().enumerate().filter(|(_, known)| known.trust > 0.0).collect();
