@@ -4,7 +4,7 @@
 //
 // A workgroup owns one group and channel; its 256 threads stride over the members. Sums are added in a fixed tree, a
 // barrier per level; the quantile is selected byte by byte from counts in integer atomics, which do not depend on
-// order. Reads 8 bytes per member and pass (3 passes for the mean, 7 for the quantile), writes 4 per drawn member.
+// order. Reads 8 bytes per member and pass (3 passes for the mean, 7 for the quantile), writes 4 per penalised member.
 
 #import math
 
@@ -73,19 +73,19 @@ fn sum_over_threads(thread: u32, value: vec2f) -> vec2f {
     return total;
 }
 
-// Writes the L1 loss of the members [first, end) against `aim` and its gradient: share · (sign_i − through_aim · mean
-// sign), where `through_aim` is 1 if `aim` is their mean and 0 if it is held fixed.
-fn draw(job: Job, thread: u32, first: u32, aim: f32, through_aim: f32) {
+// Writes the L1 loss of the members [first, end) against `centre` and its gradient: share · (sign_i − through_centre ·
+// mean sign), where `through_centre` is 1 if `centre` is their mean and 0 if it is held fixed.
+fn l1_to(job: Job, thread: u32, first: u32, centre: f32, through_centre: f32) {
     let count = f32(max(job.end - first, 1u));
     var local = vec2f(0.0);
     for (var m = first + thread; m < job.end; m += THREADS) {
-        let difference = values[slot(job, m)] - aim;
+        let difference = values[slot(job, m)] - centre;
         local += vec2f(abs(difference), sign(difference));
     }
     let total = sum_over_threads(thread, local);
     for (var m = first + thread; job.exists && m < job.end; m += THREADS) {
         let at = slot(job, m);
-        d_values[at] = (sign(values[at] - aim) - through_aim * total.y / count) * params.share;
+        d_values[at] = (sign(values[at] - centre) - through_centre * total.y / count) * params.share;
     }
     if job.exists && thread == 0u {
         losses[job.index] = total.x * params.share;
@@ -104,7 +104,7 @@ fn mean_target(
         local.x += values[slot(job, m)];
     }
     let mean = sum_over_threads(thread, local).x / f32(max(job.end - job.first, 1u));
-    draw(job, thread, job.first, mean, 1.0);
+    l1_to(job, thread, job.first, mean, 1.0);
 }
 
 // Bits of a number, ordered as the numbers are.
@@ -172,8 +172,8 @@ fn quantile_target(
     // Linear interpolation at position q(n−1) among the sorted references.
     let position = params.quantile * f32(max(job.references, 1u) - 1u);
     let pair = order_statistics(job, thread, u32(position));
-    let aim = pair.x + (pair.y - pair.x) * fract(position);
-    // A group without references is left out: nothing of it is drawn.
+    let centre = pair.x + (pair.y - pair.x) * fract(position);
+    // A group without references is left out: nothing of it is penalised.
     let first = select(job.first + job.references, job.end, job.references == 0u);
-    draw(job, thread, first, aim, 0.0);
+    l1_to(job, thread, first, centre, 0.0);
 }

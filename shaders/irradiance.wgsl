@@ -75,7 +75,7 @@ fn environment_contribution(seen: vec4f, cosine: f32) -> vec3f {
 }
 
 // The point that a thread works on.
-struct Share {
+struct LaneWork {
     // Its index, and which of the point's lanes the thread is.
     item: u32,
     lane: u32,
@@ -88,7 +88,7 @@ struct Share {
     table: u32,
 }
 
-fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
+fn lane_work(thread: u32, workgroup: vec3u, workgroups: vec3u) -> LaneWork {
     let item = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
     let point = points[min(item, params.end_item - 1u)];
     var seed = hash2(params.seed, point.index);
@@ -100,7 +100,7 @@ fn share_of(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Share {
         stretch = scrambled_morton(at % MORTON_SIDE, hash2(seed, 0u)) * params.parts + params.part;
     }
     let table = light_table(point.position, point.normal);
-    return Share(item, thread % LANES, item < params.end_item, point, seed, stretch, table);
+    return LaneWork(item, thread % LANES, item < params.end_item, point, seed, stretch, table);
 }
 
 fn sample_count() -> u32 {
@@ -127,7 +127,7 @@ fn gather_cosine(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let own = share_of(thread, workgroup, workgroups);
+    let own = lane_work(thread, workgroup, workgroups);
     let frame = frame_of(own.point.normal);
     let offset = vec2u(hash2(own.seed, 3u), hash2(own.seed, 4u));
     var sum = vec4f(0.0);
@@ -154,7 +154,7 @@ fn gather_lights(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let own = share_of(thread, workgroup, workgroups);
+    let own = lane_work(thread, workgroup, workgroups);
     let offset = vec2u(hash2(own.seed, 1u), hash2(own.seed, 2u));
     var sum = vec3f(0.0);
     for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {
@@ -179,7 +179,7 @@ fn gather_environment(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let own = share_of(thread, workgroup, workgroups);
+    let own = lane_work(thread, workgroup, workgroups);
     let offset = vec2u(hash2(own.seed, 5u), hash2(own.seed, 6u));
     var sum = vec3f(0.0);
     for (var k = own.lane; own.exists && k < sample_count(); k += LANES) {

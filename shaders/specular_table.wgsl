@@ -57,25 +57,25 @@ struct SpecularTableParams {
 @group(1) @binding(2) var<storage, read_write> tables: array<array<array<f32, 3>, NODES>>;
 
 // A direction to trace.
-struct Aim {
+struct SampleRay {
     direction: vec3f,
     // The triangle of the mesh that it must reach to count, MISS for any.
     triangle: u32,
 }
 
 // Sample `s` of the dispatch's technique, from one of the pixel's points.
-fn aim(point: ShadePoint, frame: Frame, s: u32, seed: u32) -> Aim {
+fn sample_ray(point: ShadePoint, frame: Frame, s: u32, seed: u32) -> SampleRay {
     if TECHNIQUE == FROM_LIGHTS {
         let table = light_table(point.position, point.normal);
         let light = light_point(table, sobol2(s, hash2(seed, LOBES + 1u)));
-        return Aim(normalize(light.position - point.position), light.triangle);
+        return SampleRay(normalize(light.position - point.position), light.triangle);
     }
     if TECHNIQUE == FROM_COSINE {
-        return Aim(world_from_frame(frame, cosine_direction(sobol2(s, hash2(seed, LOBES)))), MISS);
+        return SampleRay(world_from_frame(frame, cosine_direction(sobol2(s, hash2(seed, LOBES)))), MISS);
     }
     let lobe = s / (STRATA * params.lobe_samples);
     let u = sobol2(s % (STRATA * params.lobe_samples), hash2(seed, lobe));
-    return Aim(sample_lobe(frame, point.view, lobe_roughness(lobe), u).direction, MISS);
+    return SampleRay(sample_lobe(frame, point.view, lobe_roughness(lobe), u).direction, MISS);
 }
 
 // Which of the pixel's points sample `s` leaves from.
@@ -118,17 +118,17 @@ struct Sample {
 }
 
 // Traces a sample; one that does not count has no light.
-fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
-    let half = normalize(aim.direction + point.view);
+fn trace_sample(point: ShadePoint, ray: SampleRay, present: bool) -> Sample {
+    let half = normalize(ray.direction + point.view);
     let across = cross(point.normal, half);
-    let nl = dot(point.normal, aim.direction);
+    let nl = dot(point.normal, ray.direction);
     let nv = dot(point.normal, point.view);
     // From behind there is no half vector where the direction is the view's opposite, and NaN times no light is NaN.
     let sin2 = select(0.0, dot(across, across), nl > 0.0 && nv > 0.0);
     let nh = saturate(dot(point.normal, half));
     let c = Cosines(saturate(nl), saturate(nv), nh, clamp(dot(point.view, half), 1e-6, 1.0));
     // A negative limit makes the traversal end at once for what does not count anyway.
-    let hit = closest_hit(point.position, aim.direction, select(-1.0, T_FAR, present && nl > 0.0 && nv > 0.0));
+    let hit = closest_hit(point.position, ray.direction, select(-1.0, T_FAR, present && nl > 0.0 && nv > 0.0));
     let primitive = select(hit.primitive, 0u, hit.primitive == MISS);
     var lobes = 0.0;
     for (var lobe = 0u; lobe < LOBES; lobe++) {
@@ -137,10 +137,10 @@ fn traced(point: ShadePoint, aim: Aim, present: bool) -> Sample {
     let density = f32(params.lobe_samples) * lobes * c.nh / (4.0 * c.vh)
         + f32(params.cosine_samples) * c.nl * INV_PI
         + f32(params.light_samples)
-            * light_pdf(light_table(point.position, point.normal), primitive, hit.t, dot(normalize(primitive_normal(primitive)), aim.direction));
+            * light_pdf(light_table(point.position, point.normal), primitive, hit.t, dot(normalize(primitive_normal(primitive)), ray.direction));
     let x = fresnel_weight(c.vh);
     let light = radiance_at(hit) * ((params.f0 * (1.0 - x) + x) * c.nl / density);
-    let counts = hit.primitive != MISS && (aim.triangle == MISS || aim.triangle == mesh_triangle(hit.primitive));
+    let counts = hit.primitive != MISS && (ray.triangle == MISS || ray.triangle == mesh_triangle(hit.primitive));
     return Sample(select(vec3f(0.0), light, counts), sin2, c.nl, c.nv);
 }
 
@@ -162,7 +162,7 @@ fn specular_table(
     for (var first = params.first_sample; first < params.end_sample; first += LANES) {
         let s = min(first + lane, params.end_sample - 1u);
         let point = pixels[item][stratum_of(s)];
-        samples[thread] = traced(point, aim(point, frame_of(point.normal), s, seed), exists && s == first + lane);
+        samples[thread] = trace_sample(point, sample_ray(point, frame_of(point.normal), s, seed), exists && s == first + lane);
         workgroupBarrier();
         for (var k = 0u; k < NODES / LANES; k++) {
             let r = node_roughness(k * LANES + lane);

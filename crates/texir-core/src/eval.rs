@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 use crate::capture::{Capture, Split, Truth, View};
 use crate::error::{Error, Result};
 use crate::image_io::{read_gray, read_rgb};
-use crate::light_unit::scale;
 use crate::metrics::{self, Pixel, encode, psnr};
 use crate::progress::{Progress, Task};
+use crate::radiance_scale::scale;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::{GBuffer, Mipmapped, Renderer, Textures};
 
@@ -195,7 +195,7 @@ pub fn evaluate(
     let truth = capture.truth.as_ref().filter(|_| difference.is_none()).map(true_textures).transpose()?;
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
     let task = Task::start(progress, "evaluating", rays, "rays");
-    let unit = shown_in(renderer.unit());
+    let unit = shown_in(renderer.radiance_scale());
     let mut result = Subject::new(renderer, capture, textures, progress)?;
     let mut true_materials =
         truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;

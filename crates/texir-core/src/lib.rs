@@ -105,8 +105,6 @@ pub mod image_io;
 #[cfg(feature = "files")]
 mod inpaint;
 #[cfg(feature = "files")]
-mod light_unit;
-#[cfg(feature = "files")]
 pub mod lightmap;
 pub mod lights;
 pub mod mesh;
@@ -119,6 +117,8 @@ pub mod neighbours;
 pub mod outputs;
 pub mod progress;
 pub mod punctual;
+#[cfg(feature = "files")]
+mod radiance_scale;
 pub mod raster;
 pub mod ray_origin;
 pub mod real;

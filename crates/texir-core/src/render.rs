@@ -19,10 +19,10 @@ use crate::brdf::{self, DIELECTRIC_F0, Masking};
 use crate::camera::Camera;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
-use crate::light_unit;
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::{Progress, Uncounted};
+use crate::radiance_scale;
 use crate::raster::{Gray, Mask, Raster, Rgb, mean_of_channels};
 use crate::real::V3;
 use crate::scene::Scene;
@@ -101,7 +101,7 @@ pub struct Renderer<'a> {
     /// The backend's.
     scene: Arc<Scene>,
     /// What the backend's lighting is multiplied with.
-    unit: f32,
+    radiance_scale: f32,
     /// Rays per stratum.
     rays: u32,
     seed: u32,
@@ -116,18 +116,25 @@ impl<'a> Renderer<'a> {
         let scene = backend.scene().clone();
         let of_texel = |texel: &u32| f64::from(mean_of_channels(radiance.data[*texel as usize]));
         let mean = atlas.texels.iter().map(of_texel).sum::<f64>() / atlas.texels.len().max(1) as f64;
-        let unit = light_unit::unit(mean);
+        let factor = radiance_scale::radiance_scale(mean);
         let mut radiance = Cow::Borrowed(radiance);
-        if unit != 1.0 {
-            light_unit::scale(radiance.to_mut(), unit);
+        if factor != 1.0 {
+            radiance_scale::scale(radiance.to_mut(), factor);
         }
         backend.set_tbl(&radiance, &Lights::find(&scene, &atlas, &radiance)?)?;
-        Ok(Self { backend, scene, unit, rays: rays / STRATUM.len() as u32, seed, pyramids: Vec::new() })
+        Ok(Self {
+            backend,
+            scene,
+            radiance_scale: factor,
+            rays: rays / STRATUM.len() as u32,
+            seed,
+            pyramids: Vec::new(),
+        })
     }
 
     /// What brings the light of the scene to about 1.
-    pub(crate) fn unit(&self) -> f32 {
-        self.unit
+    pub(crate) fn radiance_scale(&self) -> f32 {
+        self.radiance_scale
     }
 
     /// The mesh that views are rendered of.
@@ -229,7 +236,7 @@ impl<'a> Renderer<'a> {
                 let seen: Vec<Seen> = hitting.par_iter().map(|&i| band.seen(i, textures)).collect();
                 let specular = highlights.iter().find(|of| of.masking == textures.masking);
                 let specular = specular.map_or(Vec::new(), |of| of.radiance(&strata, &seen));
-                let specular = specular.into_iter().map(|value| value.map(|v| v / self.unit));
+                let specular = specular.into_iter().map(|value| value.map(|v| v / self.radiance_scale));
                 strata.iter().zip(specular).for_each(|(&k, value)| add(hitting[k], STRATUM.len(), value));
                 let rest = |(&i, seen): (&u32, &Seen)| band.diffuse_and_emitted(i, seen, textures.diffuse);
                 let rest: Vec<_> = hitting.par_iter().zip(&seen).map(rest).collect();

@@ -92,7 +92,7 @@ struct Shading {
     albedo: Colour,
     emission: Colour,
     /// How rough (green) and how much of a metal (blue) it is, where that matters.
-    finish: Option<Colour>,
+    metallic_roughness: Option<Colour>,
     double_sided: bool,
 }
 
@@ -232,8 +232,8 @@ impl Model {
     fn without_coordinates(&self) -> Vec<String> {
         let mut lacking = BTreeMap::<usize, usize>::new();
         for part in &self.parts {
-            let Shading { albedo, emission, finish, .. } = &self.shading[self.shading_of(part)];
-            let used = [albedo, emission].into_iter().chain(finish);
+            let Shading { albedo, emission, metallic_roughness, .. } = &self.shading[self.shading_of(part)];
+            let used = [albedo, emission].into_iter().chain(metallic_roughness);
             let sets: BTreeSet<usize> = used.filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
             let missing = sets.into_iter().filter(|set| part.has_uvs.get(*set) != Some(&true));
             missing.for_each(|set| *lacking.entry(set).or_default() += 1);
@@ -314,9 +314,9 @@ impl Model {
         let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
         let of_set = |set: usize| self.parts[part].uvs.get(set).map(|uvs| corners.map(|i| uvs[i]));
         let of = |colour: &Colour| colour.over(&footprint, of_set, &self.images);
-        let Shading { albedo, emission, finish, .. } = &self.shading[shading];
-        let specular = finish.as_ref().map_or(0.0, |finish| {
-            let Vec3 { y: roughness, z: metallic, .. } = of(finish);
+        let Shading { albedo, emission, metallic_roughness, .. } = &self.shading[shading];
+        let specular = metallic_roughness.as_ref().map_or(0.0, |metallic_roughness| {
+            let Vec3 { y: roughness, z: metallic, .. } = of(metallic_roughness);
             specular_albedo(Masking::Smith, roughness) * (1.0 - metallic)
         });
         [(of(albedo) + specular).clamp(Vec3::ZERO, Vec3::ONE), of(emission)]
@@ -380,7 +380,7 @@ fn shading(
         let [r, g, b, _] = base.base_color_factor();
         let name = material.name().map(|name| format!("\"{name}\""));
         let name = name.or_else(|| Some(format!("material {}", material.index()?))).unwrap_or_default();
-        let finish = Vec3::new(0.0, base.roughness_factor(), base.metallic_factor());
+        let metallic_roughness = Vec3::new(0.0, base.roughness_factor(), base.metallic_factor());
         let strength = material.emissive_strength().unwrap_or(1.0);
         let emitted = Vec3::from(material.emissive_factor()) * strength;
         let reflects = [r, g, b].iter().all(|v| (0.0..=1.0 + ROUNDED).contains(v));
@@ -397,9 +397,9 @@ fn shading(
             name,
             albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
             emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
-            finish: match reflected {
+            metallic_roughness: match reflected {
                 BounceAlbedo::DiffuseAndSpecular => {
-                    Some(colour(finish, base.metallic_roughness_texture(), TransferCurve::Linear)?)
+                    Some(colour(metallic_roughness, base.metallic_roughness_texture(), TransferCurve::Linear)?)
                 }
                 BounceAlbedo::Diffuse => None,
             },
@@ -410,7 +410,7 @@ fn shading(
     let [black, white] = [Vec3::ZERO, Vec3::ONE].map(|factor| Colour { factor, texture: None });
     let name = "glTF's default (of primitives without a material)".to_owned();
     // A metal, and so white as it is.
-    all.push(Shading { name, albedo: white, emission: black, finish: None, double_sided: false });
+    all.push(Shading { name, albedo: white, emission: black, metallic_roughness: None, double_sided: false });
     Ok(all)
 }
 

@@ -16,16 +16,16 @@ use crate::scene::trace::Trace;
 use crate::surface::{Hit, SurfacePoint};
 
 /// Most places of a texel at which lights are asked for.
-const PLACES: u64 = 16;
+const MAX_SUBSAMPLES: u64 = 16;
 /// Shadow rays are at most this share of the gather's, though one per light and texel at least.
 const SHARE: f64 = 0.25;
 /// Places of a texel are lit alike where the darkest has more than this share of the brightest's light.
 const ALIKE: f32 = 0.98;
 
 /// At how many places of a texel so many lights are asked for, where it gathers by so many `rays`: a power of two.
-pub(super) fn places(rays: u32, lights: usize) -> u32 {
+pub(super) fn subsamples(rays: u32, lights: usize) -> u32 {
     let most = (SHARE * f64::from(rays) / lights.max(1) as f64) as u64;
-    1 << most.clamp(1, PLACES).ilog2()
+    1 << most.clamp(1, MAX_SUBSAMPLES).ilog2()
 }
 
 /// E, cosine included, not divided by π, per texel of a `[width, height]` map: the mean over those of `places`
@@ -36,42 +36,42 @@ pub(super) fn irradiance(
     size: [usize; 2],
     points: &[SurfacePoint],
     lights: &[PunctualLight],
-    places: u32,
+    subsamples: u32,
     progress: &dyn Progress,
 ) -> Result<Vec<[f32; 3]>> {
     let scene = backend.scene().clone();
-    let over = Over { places, lights };
-    let lit = over.lit(backend, points, progress, |point, within| moved(scene.mesh(), size, point, within))?;
+    let subsampling = Subsampling { subsamples, lights };
+    let lit = subsampling.sums(backend, points, progress, |point, within| moved(scene.mesh(), size, point, within))?;
     // What stands on a texel is of no matter where all of it is lit alike.
     let edges: Vec<usize> = (0..points.len()).filter(|&i| !lit[i].is_even()).collect();
     let on_edges: Vec<SurfacePoint> = edges.iter().map(|&i| points[i]).collect();
-    let on_this_side = over.lit(backend, &on_edges, &Uncounted(progress), |point, within| {
+    let on_this_side = subsampling.sums(backend, &on_edges, &Uncounted(progress), |point, within| {
         moved(scene.mesh(), size, point, within).filter(|moved| sees(&scene, point, moved))
     })?;
-    let mut found: Vec<[f32; 3]> = lit.iter().map(Lit::mean).collect();
+    let mut found: Vec<[f32; 3]> = lit.iter().map(SubsampleSum::mean).collect();
     edges.into_iter().zip(on_this_side).for_each(|(i, lit)| found[i] = lit.mean());
     Ok(found)
 }
 
 /// Which places of texels are asked for which lights.
-struct Over<'a> {
-    places: u32,
+struct Subsampling<'a> {
+    subsamples: u32,
     lights: &'a [PunctualLight],
 }
 
-impl Over<'_> {
+impl Subsampling<'_> {
     /// What arrives over the texels of `points` at the places that `at` knows, or else at their points.
-    fn lit(
+    fn sums(
         &self,
         backend: &mut dyn Backend,
         points: &[SurfacePoint],
         progress: &dyn Progress,
         at: impl Fn(&SurfacePoint, Vec2) -> Option<SurfacePoint> + Sync,
-    ) -> Result<Vec<Lit>> {
-        let mut lit = vec![Lit::default(); points.len()];
-        for i in 0..self.places {
+    ) -> Result<Vec<SubsampleSum>> {
+        let mut lit = vec![SubsampleSum::default(); points.len()];
+        for i in 0..self.subsamples {
             // A Hammersley set: one place in each of as many columns, and of as many rows.
-            let within = Vec2::new(i as f32 + 0.5, 0.5) / self.places as f32 + Vec2::Y * to_unit(i.reverse_bits());
+            let within = Vec2::new(i as f32 + 0.5, 0.5) / self.subsamples as f32 + Vec2::Y * to_unit(i.reverse_bits());
             let moved: Vec<Option<SurfacePoint>> = points.par_iter().map(|point| at(point, within)).collect();
             let asked: Vec<SurfacePoint> = moved.iter().flatten().copied().collect();
             let found = backend.punctual(&asked, self.lights, progress)?;
@@ -79,7 +79,7 @@ impl Over<'_> {
             let known = lit.iter_mut().zip(&moved).filter(|(_, moved)| moved.is_some());
             known.zip(found).for_each(|((lit, _), e)| lit.add(e));
         }
-        let (mut alone, asked): (Vec<&mut Lit>, Vec<SurfacePoint>) =
+        let (mut alone, asked): (Vec<&mut SubsampleSum>, Vec<SurfacePoint>) =
             lit.iter_mut().zip(points).filter(|(lit, _)| lit.count == 0).unzip();
         let found = backend.punctual(&asked, self.lights, &Uncounted(progress))?;
         alone.iter_mut().zip(found).for_each(|(lit, e)| lit.add(e));
@@ -89,7 +89,7 @@ impl Over<'_> {
 
 /// What arrives at the places of a texel.
 #[derive(Clone, Copy, Default)]
-struct Lit {
+struct SubsampleSum {
     sum: Vec3,
     count: u32,
     /// Of the sum of the channels.
@@ -97,7 +97,7 @@ struct Lit {
     brightest: f32,
 }
 
-impl Lit {
+impl SubsampleSum {
     fn add(&mut self, e: [f32; 3]) {
         let e = Vec3::from(e);
         let bright = e.element_sum();
@@ -166,12 +166,12 @@ mod tests {
     }
 
     /// E of the floor under a light from straight above, by column and row.
-    fn of_floor(mesh: Mesh, places: u32) -> Vec<Vec<f32>> {
+    fn of_floor(mesh: Mesh, subsamples: u32) -> Vec<Vec<f32>> {
         let mut backend = CpuBackend::new(Scene::new(mesh).unwrap());
         let texels = Texels::map(&mut backend, SIZE, Workspace::Memory, &Silent).unwrap();
         let points: Vec<SurfacePoint> = texels.points().flat_map(|points| points.unwrap().into_owned()).collect();
         let light = PunctualLight::distant(DOWN.to_array(), [1.0; 3]);
-        let found = irradiance(&mut backend, SIZE, &points, &[light], places, &Silent).unwrap();
+        let found = irradiance(&mut backend, SIZE, &points, &[light], subsamples, &Silent).unwrap();
         let mut columns = vec![vec![0.0; SIZE[1]]; SIZE[0]];
         for (point, e) in points.iter().zip(found) {
             columns[point.index as usize % SIZE[0]][point.index as usize / SIZE[0]] = e[0];
@@ -191,8 +191,8 @@ mod tests {
         let mut mesh = floor();
         let z = |x: f32, z: f32| Vec3::new(x, 0.5, z);
         add(&mut mesh, [z(-9.0, -9.0), z(-9.0, 9.0), z(edge, 9.0), z(edge, -9.0)], Vec2::new(0.5, 0.0));
-        let off = |places: u32| {
-            let columns = of_floor(mesh.clone(), places);
+        let off = |subsamples: u32| {
+            let columns = of_floor(mesh.clone(), subsamples);
             let off = columns
                 .iter()
                 .enumerate()
@@ -224,7 +224,7 @@ mod tests {
 
     #[test]
     fn shadow_rays_are_few_beside_those_of_the_gather() {
-        let asked = |rays: u32| [0, 1, 4, 9, 64, 100_000].map(|lights| places(rays, lights));
+        let asked = |rays: u32| [0, 1, 4, 9, 64, 100_000].map(|lights| subsamples(rays, lights));
         assert_eq!(asked(256), [16, 16, 16, 4, 1, 1]);
         assert_eq!(asked(1), [1; 6]);
         assert_eq!(asked(u32::MAX), [16; 6]);

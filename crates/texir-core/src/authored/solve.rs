@@ -123,8 +123,8 @@ impl Solver<'_> {
             return Ok(());
         }
         let Gather { cosine, light, .. } = self.bounces.quality.gather;
-        let places = punctual::places(cosine.saturating_add(light), lights.len());
-        let rays = self.texels.valid() as u64 * lights.len() as u64 * u64::from(places);
+        let subsamples = punctual::subsamples(cosine.saturating_add(light), lights.len());
+        let rays = self.texels.valid() as u64 * lights.len() as u64 * u64::from(subsamples);
         direct.rays += rays;
         let _task = Task::start(self.progress, "punctual lights", rays, "rays");
         let (size, checkpoints) = (self.texels.size(), self.checkpoints.within("punctual"));
@@ -132,11 +132,11 @@ impl Solver<'_> {
             let mut known = true;
             let found = checkpoints.array(&format!("piece-{number}"), points.len(), || {
                 known = false;
-                punctual::irradiance(self.backend, size, points, lights, places, self.progress)
+                punctual::irradiance(self.backend, size, points, lights, subsamples, self.progress)
             })?;
             if known {
                 self.progress.check()?;
-                self.progress.advance(points.len() as u64 * lights.len() as u64 * u64::from(places));
+                self.progress.advance(points.len() as u64 * lights.len() as u64 * u64::from(subsamples));
             }
             Ok(found)
         })

@@ -10,8 +10,8 @@ use std::borrow::Cow;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::spatial_blocks::SpatialBlocks;
 use super::store::{Items, Store};
-use super::surface::Surface;
 use super::texels::{PIECE, Texels};
 use super::tiles::{Tiles, is_outside, rays_of};
 use crate::backend::{Backend, Gather, Gathered, Sequences};
@@ -48,7 +48,7 @@ impl Estimate {
     /// `error` before.
     pub fn sample(
         backend: &mut dyn Backend,
-        surface: &Surface<'_>,
+        surface: &SpatialBlocks<'_>,
         gather: Gather,
         error: Option<f32>,
         checkpoints: &Checkpoints,
@@ -112,7 +112,7 @@ impl Estimate {
     }
 
     /// Standard error of the luminance of every point's mean.
-    pub fn standard_errors(&self, surface: &Surface<'_>, progress: &dyn Progress) -> Result<Store<'static, f32>> {
+    pub fn standard_errors(&self, surface: &SpatialBlocks<'_>, progress: &dyn Progress) -> Result<Store<'static, f32>> {
         let mut errors = surface.texels.zeroed()?;
         surface.each("errors", progress, |_, block, points| {
             let known = self.known(&block.items)?;
@@ -126,7 +126,7 @@ impl Estimate {
     }
 
     /// The points, in atlas order, that took part in the last round and whose relative error is above `target` even so.
-    fn above(&self, target: f32, surface: &Surface<'_>, progress: &dyn Progress) -> Result<Store<'static, u32>> {
+    fn above(&self, target: f32, surface: &SpatialBlocks<'_>, progress: &dyn Progress) -> Result<Store<'static, u32>> {
         let most = self.rays.pieces(PIECE).try_fold(0, |most, rays| Ok(rays?.iter().fold(most, |a, b| a.max(*b))))?;
         let mut above = surface.texels.zeroed::<u8>()?;
         surface.each("errors", progress, |_, block, points| {
@@ -178,13 +178,13 @@ impl EstimateAt<'_> {
 
     /// Standard error of every point's luminance as a share of it, from its neighbours alone; `None` where there are
     /// none. The variance is taken to fall with the number of rays.
-    fn relative_errors(&self, surface: &Surface<'_>, points: &[SurfacePoint]) -> Vec<Option<f32>> {
+    fn relative_errors(&self, surface: &SpatialBlocks<'_>, points: &[SurfacePoint]) -> Vec<Option<f32>> {
         // Of one ray.
         let variances: Vec<f32> = (0..points.len()).map(|i| self.difference(i).powi(2) * self.rays[i] as f32).collect();
         let mut errors = vec![None; points.len()];
-        for alike in surface.alike(points) {
-            let (variances, rays, radius) = (alike.of(&variances), alike.of(&self.rays), RADIUS * alike.texel);
-            let neighbours = Neighbours::<NEAR>::new(&alike.of(points), radius);
+        for class in surface.size_classes(points) {
+            let (variances, rays, radius) = (class.gather(&variances), class.gather(&self.rays), RADIUS * class.texel);
+            let neighbours = Neighbours::<NEAR>::new(&class.gather(points), radius);
             let error = |i: usize| {
                 let (mut sum, mut count) = (0.0, 0.0);
                 neighbours.each(i, radius, |j, _| {
@@ -195,7 +195,7 @@ impl EstimateAt<'_> {
                 });
                 (count > 0.0).then(|| f32::sqrt(sum / (count * rays[i] as f32)))
             };
-            alike.put((0..rays.len()).into_par_iter().map(error).collect(), &mut errors);
+            class.scatter((0..rays.len()).into_par_iter().map(error).collect(), &mut errors);
         }
         errors
     }

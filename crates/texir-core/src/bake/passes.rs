@@ -4,10 +4,10 @@
 use super::PADDING;
 use super::baked_texels::BakedTexels;
 use super::estimate::{self, Estimate};
+use super::spatial_blocks::SpatialBlocks;
 #[cfg(feature = "oidn")]
 use super::store::Items;
 use super::store::Store;
-use super::surface::Surface;
 use super::texels::Texels;
 use super::tiles::{Tiles, is_outside, rays_of};
 use super::{Denoiser, Quality};
@@ -46,14 +46,14 @@ pub fn bake_texels(
         return as_gathered(backend, texels, quality.gather, checkpoints, progress);
     }
     let scene = backend.scene().clone();
-    let surface = Surface::new(texels, scene.mesh(), denoise::REACH.max(estimate::RADIUS))?;
+    let surface = SpatialBlocks::new(texels, scene.mesh(), denoise::REACH.max(estimate::RADIUS))?;
     bake_blocks(backend, &surface, quality, checkpoints, progress)
 }
 
 /// [`bake_texels`] with denoising or with errors, which look at neighbours.
 pub(super) fn bake_blocks(
     backend: &mut dyn Backend,
-    surface: &Surface<'_>,
+    surface: &SpatialBlocks<'_>,
     quality: &Quality,
     checkpoints: &Checkpoints,
     progress: &dyn Progress,
@@ -98,7 +98,7 @@ impl BakedTexels {
     fn denoise(
         &mut self,
         backend: &mut dyn Backend,
-        surface: &Surface<'_>,
+        surface: &SpatialBlocks<'_>,
         estimate: &Estimate,
         checkpoints: &Checkpoints,
         progress: &dyn Progress,
@@ -119,11 +119,11 @@ impl BakedTexels {
                 };
                 let halves = [half(a)?, half(b)?];
                 let mut clean = vec![[0.0; 3]; points.len()];
-                for alike in surface.alike(points) {
-                    let [a, b] = halves.each_ref().map(|half| alike.of(half));
-                    let (points, apart) = (&alike.of(points), &alike.of(&buried));
-                    let noisy = Noisy { points, halves: [&a, &b], apart, texel: alike.texel };
-                    alike.put(backend.denoise(noisy, progress)?, &mut clean);
+                for class in surface.size_classes(points) {
+                    let [a, b] = halves.each_ref().map(|half| class.gather(half));
+                    let (points, apart) = (&class.gather(points), &class.gather(&buried));
+                    let noisy = Noisy { points, halves: [&a, &b], apart, texel: class.texel };
+                    class.scatter(backend.denoise(noisy, progress)?, &mut clean);
                 }
                 Ok(clean.into_iter().enumerate().filter(|(i, _)| own(*i)).map(|(_, clean)| clean).collect())
             })?;

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytesize::ByteSize;
 use glam::{Vec2, Vec3};
 
+use super::spatial_blocks::SpatialBlocks;
 use super::store::POINT;
-use super::surface::Surface;
 use super::tiles::{Tiles, rays_of};
 use super::*;
 use crate::authored::{self, Bounces, Surfaces};
@@ -273,7 +273,7 @@ fn a_bake_in_files_has_the_bits_of_one_in_memory() {
     // Negative control: where blocks have not enough around them, their borders differ.
     let quality = Quality { gather, error: None, denoise: Some(Denoiser::Regression) };
     let mut solve = |texels: &Texels<'_>, reach| {
-        let surface = Surface::new(texels, scene.mesh(), reach).unwrap();
+        let surface = SpatialBlocks::new(texels, scene.mesh(), reach).unwrap();
         let solved = passes::bake_blocks(&mut backend, &surface, &quality, &Checkpoints::none(), &Silent).unwrap();
         maps(&solved, texels, Buried::Keep, LARGE).0
     };
@@ -297,11 +297,13 @@ fn a_small_thing_of_many_texels_has_neighbours_of_its_own_size() {
     let scene = Arc::new(Scene::new(mesh).unwrap());
     let mut backend = CpuBackend::new(scene.clone());
     let texels = Texels::map(&mut backend, [LARGE; 2], Workspace::Memory, &Silent).unwrap();
-    let surface = Surface::new(&texels, scene.mesh(), 1.0).unwrap();
+    let surface = SpatialBlocks::new(&texels, scene.mesh(), 1.0).unwrap();
     let points = texels.pieces().map(|items| texels.points.get(&items).unwrap().into_owned()).collect::<Vec<_>>();
     let points = points.concat();
-    let [floor, square] = &surface.alike(&points)[..] else { panic!("two kinds are expected") };
-    let height = |alike: &surface::Alike| alike.of(&points).iter().map(|point| point.position[2]).collect::<Vec<_>>();
+    let [floor, square] = &surface.size_classes(&points)[..] else { panic!("two kinds are expected") };
+    let height = |class: &spatial_blocks::SizeClass| {
+        class.gather(&points).iter().map(|point| point.position[2]).collect::<Vec<_>>()
+    };
     assert!(height(floor).iter().all(|z| *z < 0.5) && height(square).iter().all(|z| *z > 0.5));
     assert_eq!(height(floor).len() + height(square).len(), points.len());
     // Texels of some 5 cm / √(0.38 · 0.96 LARGE²).
@@ -309,8 +311,8 @@ fn a_small_thing_of_many_texels_has_neighbours_of_its_own_size() {
     assert!((0.5..2.0).contains(&(square.texel / edge)) && floor.texel == surface.texel, "{} {edge}", square.texel);
     // Each has its value back in its place.
     let mut all = vec![0.0; points.len()];
-    floor.put(height(floor), &mut all);
-    square.put(height(square), &mut all);
+    floor.scatter(height(floor), &mut all);
+    square.scatter(height(square), &mut all);
     assert!(points.iter().zip(&all).all(|(point, z)| point.position[2] == *z));
 }
 
@@ -383,7 +385,7 @@ fn texels_too_close_together_for_the_memory_are_an_error_that_says_what_would_do
     let folder = tempfile::tempdir().unwrap();
     let small = Workspace::Disk { folder: folder.path().to_owned(), memory: ByteSize(50 * POINT) };
     let texels = Texels::map(&mut backend, [LARGE; 2], small, &Silent).unwrap();
-    let error = Surface::new(&texels, scene.mesh(), denoise::REACH).err().unwrap().to_string();
+    let error = SpatialBlocks::new(&texels, scene.mesh(), denoise::REACH).err().unwrap().to_string();
     assert!(error.contains("more memory") && error.contains("KiB"), "{error}");
 }
 

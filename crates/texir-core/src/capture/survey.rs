@@ -41,15 +41,15 @@ const NOISY: f32 = 0.04;
 
 /// What a training view shows.
 #[derive(Clone, Debug)]
-pub struct Shown {
+pub struct ViewSurvey {
     /// Name of the view.
     pub name: String,
     /// The part whose rays meet back faces.
-    pub behind: Share,
+    pub behind: LightShare,
     /// The part whose rays miss the mesh.
-    pub open: Share,
+    pub open: LightShare,
     /// All that it shows.
-    pub all: Share,
+    pub all: LightShare,
     /// The largest value of its image, and the share of its pixels that have it in two channels at least.
     pub largest: (f32, f64),
     /// Standard deviation of ln radiance from pixel to pixel, of the file's own pixels, where nothing but noise makes
@@ -64,7 +64,7 @@ pub struct Shown {
 
 /// A part of what a view shows.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Share {
+pub struct LightShare {
     /// Solid angle, sr.
     pub directions: f64,
     /// Radiance × solid angle.
@@ -91,7 +91,7 @@ impl Agreement {
 
 /// What all training views show.
 #[derive(Clone, Debug, Default)]
-pub struct Survey(Vec<Shown>);
+pub struct Survey(Vec<ViewSurvey>);
 
 impl Survey {
     /// Surveys all `views`, reduced to some 256 columns. Masked pixels count as light, but are not compared.
@@ -107,11 +107,11 @@ impl Survey {
             let view = reduced.as_ref().unwrap_or(view);
             let reduced = plain.reduced(view.reduction / views[index].reduction, mean_pixel);
             let image = reduced.map(|pixel| std::array::from_fn(|c| pixel[c] * view.scale[c]));
-            let mut of_view = Shown {
+            let mut of_view = ViewSurvey {
                 name: view.name.clone(),
-                behind: Share::default(),
-                open: Share::default(),
-                all: Share::default(),
+                behind: LightShare::default(),
+                open: LightShare::default(),
+                all: LightShare::default(),
                 largest,
                 noise,
                 agreement: None,
@@ -131,7 +131,7 @@ impl Survey {
     }
 
     /// What each view shows.
-    pub fn views(&self) -> &[Shown] {
+    pub fn views(&self) -> &[ViewSurvey] {
         &self.0
     }
 
@@ -148,11 +148,11 @@ impl Survey {
             return told;
         }
         let [behind, open, all] =
-            [|s: &Shown| s.behind, |s: &Shown| s.open, |s: &Shown| s.all].map(|part| self.sum(part));
-        let exceeds = |part: Share, [light, directions]: [f64; 2]| {
+            [|s: &ViewSurvey| s.behind, |s: &ViewSurvey| s.open, |s: &ViewSurvey| s.all].map(|part| self.sum(part));
+        let exceeds = |part: LightShare, [light, directions]: [f64; 2]| {
             part.light > light * all.light || part.directions > directions * all.directions
         };
-        let percent = |part: Share| {
+        let percent = |part: LightShare| {
             let of = |part: f64, all: f64| 100.0 * part / all.max(f64::MIN_POSITIVE);
             format!(
                 "{:.0} % of the light and {:.0} % of the directions",
@@ -195,17 +195,17 @@ impl Survey {
         told
     }
 
-    fn sum(&self, part: impl Fn(&Shown) -> Share) -> Share {
-        self.0.iter().fold(Share::default(), |sum, shown| {
+    fn sum(&self, part: impl Fn(&ViewSurvey) -> LightShare) -> LightShare {
+        self.0.iter().fold(LightShare::default(), |sum, shown| {
             let part = part(shown);
-            Share { directions: sum.directions + part.directions, light: sum.light + part.light, ..sum }
+            LightShare { directions: sum.directions + part.directions, light: sum.light + part.light, ..sum }
         })
     }
 
     /// Where most light of a part comes from.
-    fn brightest(&self, part: impl Fn(&Shown) -> Share) -> String {
+    fn brightest(&self, part: impl Fn(&ViewSurvey) -> LightShare) -> String {
         let most = self.0.iter().max_by(|a, b| part(a).brightest.0.total_cmp(&part(b).brightest.0));
-        let place = |shown: &Shown| {
+        let place = |shown: &ViewSurvey| {
             let (light, [x, y]) = part(shown).brightest;
             (light > 0.0).then(|| format!(" (most in view {:?} at column {x}, row {y})", shown.name))
         };
@@ -213,8 +213,8 @@ impl Survey {
     }
 
     fn clipped(&self) -> Option<String> {
-        let clipped: Vec<&Shown> = self.0.iter().filter(|shown| shown.largest.1 > CLIPPED).collect();
-        let alike = |a: &Shown| clipped.iter().filter(|b| is_at(b.largest.0, a.largest.0)).count();
+        let clipped: Vec<&ViewSurvey> = self.0.iter().filter(|shown| shown.largest.1 > CLIPPED).collect();
+        let alike = |a: &ViewSurvey| clipped.iter().filter(|b| is_at(b.largest.0, a.largest.0)).count();
         let most = clipped.iter().max_by_key(|shown| alike(shown))?;
         let ((value, share), count) = (most.largest, alike(most));
         // One image alone proves nothing where there are others.
@@ -253,7 +253,7 @@ impl Survey {
     }
 
     /// The views of which it is known how they agree with others.
-    fn known(&self) -> Vec<(&Shown, Agreement)> {
+    fn known(&self) -> Vec<(&ViewSurvey, Agreement)> {
         self.0.iter().filter_map(|shown| Some((shown, shown.agreement?))).collect()
     }
 
@@ -293,7 +293,7 @@ impl Survey {
 /// A cell of surface that faces one way.
 type Cell = ([i32; 3], u8);
 
-impl Shown {
+impl ViewSurvey {
     /// Looks at an image; yields the mean ln of radiance per cell that it shows from the front.
     fn look(&mut self, backend: &mut dyn Backend, view: &View, image: &Rgb) -> Result<HashMap<Cell, [f64; 3]>> {
         let camera = &view.camera;
@@ -305,7 +305,8 @@ impl Shown {
         for (pixel, hit) in hits.iter().enumerate().filter(|(pixel, _)| known.data[*pixel]) {
             let place = [pixel % camera.width, pixel / camera.width];
             let bright = f64::from(luminance(&image.data[pixel]));
-            let seen = Share::of(f64::from(camera.solid_angle(pixel)), bright, place.map(|at| at * view.reduction));
+            let seen =
+                LightShare::of(f64::from(camera.solid_angle(pixel)), bright, place.map(|at| at * view.reduction));
             self.all.add(seen);
             if !hit.is_hit() {
                 self.open.add(seen);
@@ -327,7 +328,7 @@ impl Shown {
     }
 }
 
-impl Share {
+impl LightShare {
     fn of(directions: f64, radiance: f64, place: [usize; 2]) -> Self {
         let light = directions * radiance;
         Self { directions, light, brightest: (light, place) }
@@ -360,7 +361,7 @@ fn largest(image: &Rgb) -> (f32, f64) {
 }
 
 /// Compares the views by cells that several of them show; tells nothing where exposures cannot be told.
-fn agreements(shown: &mut [Shown], mut cells: Vec<(Cell, Sighting)>) {
+fn agreements(shown: &mut [ViewSurvey], mut cells: Vec<(Cell, Sighting)>) {
     cells.sort_unstable_by_key(|(cell, sighting)| (*cell, sighting.view));
     let of_cell = |cell: &[(Cell, Sighting)]| cell.iter().map(|(_, sighting)| *sighting).collect();
     let places: Vec<Vec<Sighting>> = cells.chunk_by(|a, b| a.0 == b.0).filter(|c| c.len() > 1).map(of_cell).collect();
@@ -398,7 +399,7 @@ mod tests {
 
     /// What a view shows of the square [−1, 1]² at z = 0, which faces up; its image is `1` but for one pixel, and
     /// masked where asked.
-    fn shown(camera: Camera, bright: [usize; 2], masked: bool) -> Shown {
+    fn shown(camera: Camera, bright: [usize; 2], masked: bool) -> ViewSurvey {
         let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
         let mesh = Mesh {
             positions: corners.map(|(x, y)| Vec3::new(x, y, 0.0)).to_vec(),
@@ -424,7 +425,7 @@ mod tests {
         let camera = Camera { projection: Projection::Equirectangular, width: 600, height: 300, world_from_camera };
         for masked in [false, true] {
             // 600 columns are looked at as 200, the third row and column of each three.
-            let Shown { all, open, behind, .. } = shown(camera, [451, 44], masked);
+            let ViewSurvey { all, open, behind, .. } = shown(camera, [451, 44], masked);
             assert!((all.directions / (4.0 * PI) - 1.0).abs() < 1e-3, "{}", all.directions);
             // A square of 2 × 2 m, 1 m away, is a sixth of all directions.
             assert!((open.directions / all.directions - 5.0 / 6.0).abs() < 0.01, "{}", open.directions);
@@ -443,7 +444,7 @@ mod tests {
         };
         let sound = shown(camera, [0, 0], false);
         let told = |noises: [Option<f32>; 3]| {
-            let views = noises.map(|noise| Shown { noise, ..sound.clone() });
+            let views = noises.map(|noise| ViewSurvey { noise, ..sound.clone() });
             Survey(views.to_vec()).warnings().iter().any(|told| told.contains("noisy, by 8 %"))
         };
         assert!(told([Some(0.08), Some(0.09), Some(0.01)]));
@@ -453,12 +454,12 @@ mod tests {
 
     #[test]
     fn views_out_of_place_are_told_of_with_the_worst() {
-        let view = |name: &str, out_of_place| Shown {
+        let view = |name: &str, out_of_place| ViewSurvey {
             name: name.to_owned(),
             out_of_place,
-            behind: Share::default(),
-            open: Share::default(),
-            all: Share::default(),
+            behind: LightShare::default(),
+            open: LightShare::default(),
+            all: LightShare::default(),
             largest: (1.0, 0.0),
             noise: None,
             agreement: None,
@@ -476,7 +477,7 @@ mod tests {
         let world_from_camera = Mat4::from_translation(-Vec3::Z) * Mat4::from_rotation_x(std::f32::consts::PI);
         let projection = Projection::Pinhole { fx: 600.0, fy: 600.0, cx: 150.0, cy: 270.0 };
         let camera = Camera { projection, width: 300, height: 540, world_from_camera };
-        let Shown { all, open, behind, .. } = shown(camera, [100, 401], false);
+        let ViewSurvey { all, open, behind, .. } = shown(camera, [100, 401], false);
         assert_eq!((behind.directions, open.directions), (all.directions, 0.0));
         assert_eq!(behind.brightest.1, [100, 400]);
         // Negative control: from above, the same camera sees its front.

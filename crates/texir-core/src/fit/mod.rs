@@ -32,9 +32,9 @@ use crate::capture::{Capture, Split, Tbl, View};
 use crate::checkpoint::Checkpoints;
 use crate::diffuse::DiffuseModel;
 use crate::error::{Error, Result};
-use crate::light_unit::scale;
 use crate::lights::Lights;
 use crate::progress::Progress;
+use crate::radiance_scale::scale;
 use crate::raster::{Gray, Mask, Raster, Rgb};
 use crate::render::Textures;
 use crate::rooms::{self, FloorPlan, RoomOptions};
@@ -127,7 +127,7 @@ pub fn fit(
     timings.mark("rooms");
 
     let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-    let Prepared { mut tbl, atlas, training, views, unit } =
+    let Prepared { mut tbl, atlas, training, views, scale: factor } =
         prepare(backend, (capture.tbl.as_deref(), training), settings, progress)?;
     timings.mark("texture-based lighting");
 
@@ -181,7 +181,7 @@ pub fn fit(
     }
     // Back in the capture's unit; powers of two are exact.
     for map in [&mut emission, &mut irradiance, &mut tbl.radiance] {
-        scale(map, unit.recip());
+        scale(map, factor.recip());
     }
     let textures = Textures { albedo, roughness, metallic, irradiance, emission, diffuse, masking };
     timings.mark("materials");

@@ -9,8 +9,8 @@ use crate::backend::Backend;
 use crate::capture::survey::Survey;
 use crate::capture::{Tbl, View};
 use crate::error::Result;
-use crate::light_unit::{scale, scale_views, unit};
 use crate::progress::Progress;
+use crate::radiance_scale::{radiance_scale, scale, scale_views};
 use crate::raster::times;
 use crate::tbl::{self, TblOptions};
 
@@ -23,7 +23,7 @@ pub(super) struct Prepared {
     /// The training views as the fit of materials reads them: reduced where need be.
     pub views: Vec<View>,
     /// What all of its light was multiplied with: see [`unit`](fn@unit).
-    pub unit: f32,
+    pub scale: f32,
 }
 
 /// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training
@@ -58,11 +58,11 @@ pub(super) fn prepare(
     let mut views = memory::affordable(&training, (backend.scene().mesh(), &atlas), settings, progress)?;
     let survey = Survey::new(backend, &training, progress)?;
     survey.warnings().iter().for_each(|what| progress.warn(what));
-    let unit = unit(survey.radiance());
-    scale_views(training.iter_mut().chain(&mut views), unit);
+    let factor = radiance_scale(survey.radiance());
+    scale_views(training.iter_mut().chain(&mut views), factor);
     let mut tbl = match given {
         Some(mut tbl) => {
-            scale(&mut tbl.radiance, unit);
+            scale(&mut tbl.radiance, factor);
             tbl
         }
         None => tbl::build_in(backend, &atlas, &training, &TblOptions::default(), progress)?,
@@ -70,7 +70,7 @@ pub(super) fn prepare(
     if is_given && settings.mode == Mode::Full && settings.full.resolve_sources {
         tbl = tbl::resolve_sources(backend, &atlas, &tbl, &training, progress)?;
     }
-    Ok(Prepared { tbl, atlas, training, views, unit })
+    Ok(Prepared { tbl, atlas, training, views, scale: factor })
 }
 
 #[cfg(test)]

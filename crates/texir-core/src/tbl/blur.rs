@@ -18,8 +18,8 @@ use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::capture::View;
 use crate::error::Result;
-use crate::light_unit::in_own_unit;
 use crate::progress::{Progress, Task};
+use crate::radiance_scale::normalised_views;
 use crate::raster::{Gray, mean_of_channels};
 use crate::scene::Scene;
 use crate::stats::median;
@@ -65,7 +65,7 @@ pub fn measure(backend: &mut dyn Backend, views: &[View], progress: &dyn Progres
         pixels <= PIXELS
     };
     let views: Vec<View> = views.iter().take_while(within).cloned().collect();
-    let (views, _) = in_own_unit(&views, progress)?;
+    let (views, _) = normalised_views(&views, progress)?;
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     measure_photos(backend, &cameras, |i| photo(&views[i], progress), progress)
 }

@@ -18,8 +18,8 @@ use crate::camera::Camera;
 use crate::capture::View;
 use crate::cholesky;
 use crate::error::{Error, Result};
-use crate::light_unit::in_own_unit;
 use crate::progress::{Progress, Task};
+use crate::radiance_scale::normalised_views;
 
 /// Side of the atlas whose texels are compared: tens of thousands of them.
 const SIDE: usize = 256;
@@ -48,7 +48,7 @@ pub(crate) struct Sighting {
 /// A view that shares no surface with others is moved by that normalisation alone.
 pub fn solve(backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<[f32; 3]>> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let (views, _) = in_own_unit(views, progress)?;
+    let (views, _) = normalised_views(views, progress)?;
     solve_photos(backend, &cameras, |i| photo(&views[i], progress), progress)
 }
 

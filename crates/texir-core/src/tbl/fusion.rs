@@ -5,10 +5,10 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use super::blend::Best;
-use super::joined::Joined;
+use super::connectivity::Connectivity;
 use super::photo::Photo;
+use super::receivers::{self, Known};
 use super::sample::Sampler;
-use super::witnesses::{self, Known};
 use super::{TblOptions, sources, unseen};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
@@ -62,8 +62,9 @@ impl Fusion<'_> {
         given: Option<&Tbl>,
     ) -> Result<Tbl> {
         let Self { scene, atlas, options, .. } = *self;
-        let joined = Joined::new(scene.mesh());
-        let Separated { limit, dark_texels, shown } = self.separate_sources(backend, load, &joined, &mut radiance)?;
+        let connectivity = Connectivity::new(scene.mesh());
+        let Separated { limit, dark_texels, shown } =
+            self.separate_sources(backend, load, &connectivity, &mut radiance)?;
         let seen: Vec<bool> = radiance.iter().map(Option::is_some).collect();
         let mut radiance = self.fill_unseen(radiance, given, limit);
         let emits = |value: [f32; 3]| mean_of_channels(value) > limit;
@@ -71,9 +72,9 @@ impl Fusion<'_> {
             radiance.iter().map(|&value| if emits(value) { [0.0; 3] } else { value }).collect();
         let mut is_known = seen.clone();
         dark_texels.into_iter().for_each(|texel| is_known[texel] = true);
-        unseen::shine(scene.mesh(), &joined, atlas, limit, &is_known, &mut radiance);
+        unseen::shine(scene.mesh(), &connectivity, atlas, limit, &is_known, &mut radiance);
         let known = Known { limit, shown: &shown, seen: &seen, dark: &without_sources };
-        witnesses::dim(self, backend, &joined, &known, &mut radiance)?;
+        receivers::dim(self, backend, &connectivity, &known, &mut radiance)?;
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
             radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter),
@@ -130,10 +131,10 @@ impl Fusion<'_> {
         &self,
         backend: &mut dyn Backend,
         load: &mut dyn FnMut(usize) -> Result<Photo>,
-        joined: &Joined,
+        connectivity: &Connectivity,
         radiance: &mut [Option<[f32; 3]>],
     ) -> Result<Separated> {
-        let found = sources::resolve(self, backend, load, joined, radiance)?;
+        let found = sources::resolve(self, backend, load, connectivity, radiance)?;
         let mut beside = Vec::new();
         let triangle = |texel: usize| self.atlas.points[texel].triangle;
         let mut dark_parts: HashMap<u32, f32> = HashMap::new();

@@ -3,23 +3,23 @@
 //! Each texel's surface point is projected into every view, tested for visibility, sampled (`sample.rs`) and blended
 //! robustly over the views (`blend.rs`). Pixels that masks exclude are not used unless they show the light
 //! (`photo.rs`); light sources are resolved below the size of pixels (`sources.rs`). Texels that no view sees are
-//! filled along the surface from light sources (`unseen.rs`), as far as what these would light agrees (`witnesses.rs`),
+//! filled along the surface from light sources (`unseen.rs`), as far as what these would light agrees (`receivers.rs`),
 //! and otherwise from their neighbourhood in space (`inpaint.rs`), and flagged. Views are read one at a time; memory is
 //! that of the atlas, a band of it, and some 300 bytes for every pixel of all views that shows a light source.
 
 mod blend;
 pub mod blur;
+mod connectivity;
 pub mod exposure;
 mod fusion;
-mod joined;
-mod looks;
 mod photo;
 pub mod pose;
+mod receivers;
 mod sample;
 pub(crate) mod shown;
+mod source_pixels;
 mod sources;
 mod unseen;
-mod witnesses;
 
 use serde::{Deserialize, Serialize};
 
@@ -28,8 +28,8 @@ use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
-use crate::light_unit::{in_own_unit, scale};
 use crate::progress::Progress;
+use crate::radiance_scale::{normalised_views, scale};
 use fusion::Fusion;
 use photo::Photo;
 
@@ -40,7 +40,7 @@ pub fn default_side(views: &[View]) -> usize {
     if pixels > DEFAULT_SIDE * DEFAULT_SIDE { 2 * DEFAULT_SIDE } else { DEFAULT_SIDE }
 }
 
-/// How views are joined into a TBL.
+/// How views are fused into a TBL.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TblOptions {
@@ -94,13 +94,14 @@ pub fn build(
     progress: &dyn Progress,
 ) -> Result<Tbl> {
     let atlas = Atlas::new(backend, [size[0], size[1]])?;
-    let (views, unit) = in_own_unit(views, progress)?;
+    let (views, factor) = normalised_views(views, progress)?;
     let mut tbl = build_in(backend, &atlas, &views, options, progress)?;
-    scale(&mut tbl.radiance, unit.recip());
+    scale(&mut tbl.radiance, factor.recip());
     Ok(tbl)
 }
 
-/// [`build`] in an atlas that is there, from views in the [`unit`](fn@crate::light_unit::unit) of what they show.
+/// [`build`] in an atlas that is there, from views by the [scale](crate::radiance_scale::radiance_scale) of what they
+/// show.
 pub(crate) fn build_in(
     backend: &mut dyn Backend,
     atlas: &Atlas,

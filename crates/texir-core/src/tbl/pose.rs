@@ -23,8 +23,8 @@ use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::capture::View;
 use crate::error::Result;
-use crate::light_unit::unit;
 use crate::progress::{Progress, Task};
+use crate::radiance_scale::radiance_scale;
 use crate::raster::{Gray, mean_of_channels};
 use crate::stats::{median, root_mean_square};
 use crate::surface::SurfacePoint;
@@ -90,8 +90,8 @@ pub(super) struct Picture {
 
 impl Picture {
     /// What a camera sees: the mean of the channels, which is about 1 in `unit`.
-    pub(super) fn new(camera: Camera, means: &Gray, unit: f32) -> Self {
-        Self { camera, log: Arc::new(means.map(|mean| (unit * mean + BLACK).ln())) }
+    pub(super) fn new(camera: Camera, means: &Gray, scale: f32) -> Self {
+        Self { camera, log: Arc::new(means.map(|mean| (scale * mean + BLACK).ln())) }
     }
 
     /// The same in pixels 2^`level` times as wide, or as wide as is possible up to that.
@@ -139,8 +139,8 @@ fn pictures(views: &[View], progress: &dyn Progress) -> Result<Vec<Picture>> {
         progress.advance(1);
     }
     let all = || seen.iter().flat_map(|(_, means)| &means.data).filter(|mean| mean.is_finite());
-    let unit = unit(all().map(|mean| f64::from(*mean)).sum::<f64>() / all().count() as f64);
-    Ok(seen.into_iter().map(|(camera, means)| Picture::new(camera, &means, unit)).collect())
+    let scale = radiance_scale(all().map(|mean| f64::from(*mean)).sum::<f64>() / all().count() as f64);
+    Ok(seen.into_iter().map(|(camera, means)| Picture::new(camera, &means, scale)).collect())
 }
 
 /// Surface points that views are compared at.

@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::TblOptions;
 use super::photo::Photo;
-use super::shown::{Shown, pixels_per_steradian};
+use super::shown::{VisibleSurfaces, pixels_per_steradian};
 use crate::backend::{Backend, Projected};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
@@ -29,7 +29,7 @@ pub(super) struct Observation {
 pub(super) struct Sampler<'a> {
     camera: &'a Camera,
     photo: &'a Photo,
-    shown: Shown<'a>,
+    shown: VisibleSurfaces<'a>,
     options: &'a TblOptions,
 }
 
@@ -48,7 +48,7 @@ impl<'a> Sampler<'a> {
                 times([camera.width, camera.height])
             )));
         }
-        Ok(Self { camera, photo, shown: Shown::new(backend, camera)?, options })
+        Ok(Self { camera, photo, shown: VisibleSurfaces::new(backend, camera)?, options })
     }
 
     /// What the view shows of a point that projects to `at`; `area` is the texel's, m². `None` if it cannot tell.

@@ -14,13 +14,13 @@ use crate::surface::{Hit, SurfacePoint};
 const SAME_NORMAL: f32 = 0.8;
 
 /// The primary hits of a view's pixels.
-pub(crate) struct Shown<'a> {
+pub(crate) struct VisibleSurfaces<'a> {
     scene: Arc<Scene>,
     camera: &'a Camera,
     hits: Vec<Hit>,
 }
 
-impl<'a> Shown<'a> {
+impl<'a> VisibleSurfaces<'a> {
     /// Traces the pixels' centres.
     pub fn new(backend: &mut dyn Backend, camera: &'a Camera) -> Result<Self> {
         let hits = backend.primary(camera, camera.rows())?;

@@ -16,10 +16,10 @@ use std::collections::{HashMap, HashSet};
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::connectivity::Connectivity;
 use super::fusion::Fusion;
-use super::joined::Joined;
-use super::looks::Looks;
 use super::photo::Photo;
+use super::source_pixels::SourcePixels;
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::inpaint;
@@ -69,17 +69,17 @@ pub(super) fn resolve(
     fusion: &Fusion<'_>,
     backend: &mut dyn Backend,
     load: &mut dyn FnMut(usize) -> Result<Photo>,
-    joined: &Joined,
+    connectivity: &Connectivity,
     blended: &[Option<[f32; 3]>],
 ) -> Result<AroundSources> {
     let limit = inpaint::source_limit(blended);
     let mut sources: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
-    let mut looks = Looks::of(fusion.cameras.len());
+    let mut looks = SourcePixels::of(fusion.cameras.len());
     let mut new: Vec<usize> = (0..sources.len()).filter(|&texel| sources[texel]).collect();
     let mut reviews = 0..REVIEWS;
     let explained = loop {
         looks.add(fusion, backend, load, &new)?;
-        let explained = explained(fusion, &looks, blended, (&sources, joined));
+        let explained = explained(fusion, &looks, blended, (&sources, connectivity));
         let shining = explained.texels.iter().zip(&explained.radiance).filter(|(_, l)| mean_of_channels(**l) > limit);
         new = shining.map(|(t, _)| *t as usize).filter(|&t| !sources[t]).collect();
         if new.is_empty() || reviews.next().is_none() {
@@ -119,9 +119,9 @@ pub(super) struct Explained {
 /// The texels that explain what pixels show, where these texels are `sources`.
 pub(super) fn explained(
     fusion: &Fusion<'_>,
-    looks: &Looks,
+    looks: &SourcePixels,
     blended: &[Option<[f32; 3]>],
-    (sources, joined): (&[bool], &Joined),
+    (sources, connectivity): (&[bool], &Connectivity),
 ) -> Explained {
     let (mut number, mut texels) = (vec![NONE; blended.len()], Vec::new());
     let (mut place, mut seen, mut taps) = (Vec::new(), Vec::new(), Vec::new());
@@ -140,9 +140,9 @@ pub(super) fn explained(
     }
     let start: Vec<Option<Vec3>> = texels.iter().map(|&i| blended[i as usize].map(Vec3::from)).collect();
     let rows = SparseRows::from_lists(taps);
-    let parts = parts_of_lamps(fusion, joined, sources, &texels, (&place, &rows));
+    let parts = parts_of_lamps(fusion, connectivity, sources, &texels, (&place, &rows));
     let start = explain_parts(&rows, &seen, start, &parts, inpaint::source_limit(blended));
-    let radiance = explain(&rows, &seen, &vec![Vec3::ZERO; rows.len()], &start, ITERATIONS);
+    let radiance = richardson_lucy(&rows, &seen, &vec![Vec3::ZERO; rows.len()], &start, ITERATIONS);
     Explained { texels, radiance, place, rows }
 }
 
@@ -160,12 +160,12 @@ enum Membership {
 /// What each of the texels belongs to.
 fn parts_of_lamps(
     fusion: &Fusion<'_>,
-    joined: &Joined,
+    connectivity: &Connectivity,
     sources: &[bool],
     texels: &[u32],
     (place, rows): (&[(usize, usize)], &SparseRows),
 ) -> Vec<Membership> {
-    let part = |texel: usize| joined.part(fusion.atlas.points[texel].triangle);
+    let part = |texel: usize| connectivity.part(fusion.atlas.points[texel].triangle);
     let mut counts: HashMap<u32, [u32; 2]> = HashMap::new();
     for (texel, source) in sources.iter().enumerate() {
         let [all, shining] = counts.entry(part(texel)).or_default();
@@ -233,7 +233,8 @@ fn explain_parts(
     };
     let (taps, pixels): (Vec<_>, Vec<_>) = (0..rows.len()).filter_map(of_parts).unzip();
     let (seen, beside): (Vec<Vec3>, Vec<Vec3>) = pixels.into_iter().unzip();
-    let explained = explain(&SparseRows::from_lists(taps), &seen, &beside, &vec![None; number.len()], PART_ITERATIONS);
+    let explained =
+        richardson_lucy(&SparseRows::from_lists(taps), &seen, &beside, &vec![None; number.len()], PART_ITERATIONS);
     for (start, part) in start.iter_mut().zip(parts) {
         if let Membership::Part(part) = part {
             *start = Some(explained[number[part] as usize]);
@@ -244,7 +245,13 @@ fn explain_parts(
 
 /// Richardson–Lucy: the texels whose means over `rows` are the pixels `seen` less what is known to be `beside` them,
 /// from `start` (from what the pixels show, where there is none).
-fn explain(rows: &SparseRows, seen: &[Vec3], beside: &[Vec3], start: &[Option<Vec3>], iterations: usize) -> Vec<Vec3> {
+fn richardson_lucy(
+    rows: &SparseRows,
+    seen: &[Vec3],
+    beside: &[Vec3],
+    start: &[Option<Vec3>],
+    iterations: usize,
+) -> Vec<Vec3> {
     let columns = rows.transposed(start.len());
     let gather = |matrix: &SparseRows, values: &[Vec3]| -> Vec<Vec3> {
         let row = |i| matrix.row(i).iter().map(|tap| values[tap.texel as usize] * tap.weight).sum();
@@ -303,7 +310,7 @@ mod tests {
             .map(|t| if t < 2 * TEXELS { Membership::Part(t / TEXELS) } else { Membership::Beside })
             .collect();
         let resolved = |start: &[Option<Vec3>]| {
-            let radiance = explain(&rows, &seen, &vec![Vec3::ZERO; seen.len()], start, ITERATIONS);
+            let radiance = richardson_lucy(&rows, &seen, &vec![Vec3::ZERO; seen.len()], start, ITERATIONS);
             let mean = |group: usize| {
                 let texels = group * TEXELS as usize..(group + 1) * TEXELS as usize;
                 radiance[texels].iter().map(|v| v.x).sum::<f32>() / TEXELS as f32

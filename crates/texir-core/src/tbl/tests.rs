@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{Mat4, Vec2, Vec3};
 
-use super::joined::Joined;
+use super::connectivity::Connectivity;
 use super::*;
 use crate::camera::Projection;
 use crate::capture::Split;
@@ -310,10 +310,13 @@ fn the_unseen_half_of_a_dark_rim_does_not_shine_with_the_face() {
         mesh.triangles.push([0, 1, 2].map(|k| mesh.positions.len() as u32 + k));
         mesh.positions.extend([Vec3::ZERO, at(side, 0.0), at(side + 1, 0.0)]);
     }
-    let joined = Joined::new(&mesh);
-    let rim = joined.part(0);
-    assert!((0..2 * SIDES).all(|t| joined.part(t) == rim), "the rim is one part");
-    assert!((2 * SIDES..3 * SIDES).all(|t| joined.part(t) == joined.part(2 * SIDES) && joined.part(t) != rim));
+    let connectivity = Connectivity::new(&mesh);
+    let rim = connectivity.part(0);
+    assert!((0..2 * SIDES).all(|t| connectivity.part(t) == rim), "the rim is one part");
+    assert!(
+        (2 * SIDES..3 * SIDES)
+            .all(|t| connectivity.part(t) == connectivity.part(2 * SIDES) && connectivity.part(t) != rim)
+    );
     // One texel in each triangle. Of the rim, the first quarter is seen.
     let point = |triangle: u32| SurfacePoint { position: [0.0; 3], triangle, normal: [0.0; 3], index: triangle };
     let count = mesh.triangles.len();
@@ -328,7 +331,7 @@ fn the_unseen_half_of_a_dark_rim_does_not_shine_with_the_face() {
         let seen: Vec<bool> = (0..count).map(|t| t < seen_of_rim || t >= 2 * SIDES as usize).collect();
         let mut radiance: Vec<[f32; 3]> =
             (0..count).map(|t| if t >= 2 * SIDES as usize { [50.0; 3] } else { [0.1; 3] }).collect();
-        unseen::shine(&mesh, &joined, &atlas, 1.0, &seen, &mut radiance);
+        unseen::shine(&mesh, &connectivity, &atlas, 1.0, &seen, &mut radiance);
         radiance[..2 * SIDES as usize].iter().filter(|radiance| radiance[0] > 1.0).count()
     };
     assert_eq!(shining(SIDES as usize / 2), 0);
@@ -374,10 +377,10 @@ fn what_is_behind_a_lamp_in_one_noisy_view_and_dark_in_others_does_not_shine() {
     let blended = fusion.blend(&mut backend, &mut load, &atlas.points).unwrap();
     let limit = inpaint::source_limit(&blended);
     let bright: Vec<bool> = blended.iter().map(|b| b.is_some_and(|b| mean_of_channels(b) > limit)).collect();
-    let mut looks = looks::Looks::of(cameras.len());
+    let mut looks = source_pixels::SourcePixels::of(cameras.len());
     let at: Vec<usize> = (0..bright.len()).filter(|&t| bright[t]).collect();
     looks.add(&fusion, &mut backend, &mut load, &at).unwrap();
-    let once = sources::explained(&fusion, &looks, &blended, (&bright, &Joined::new(scene.mesh())));
+    let once = sources::explained(&fusion, &looks, &blended, (&bright, &Connectivity::new(scene.mesh())));
     let mistaken = once.texels.iter().zip(&once.radiance).filter(|(t, r)| is_wall(**t as usize) && r.x > limit).count();
     assert!(mistaken > 5 && shining == 0, "{shining} texels of the wall shine, {mistaken} without reviews");
 }
@@ -391,7 +394,7 @@ fn a_source_shines_on_its_unseen_sides_and_no_further() {
     let seen: Vec<bool> = atlas.points.iter().map(|point| face(point) < 2).collect();
     let known = |point: &SurfacePoint| [[5.0; 3], [0.1; 3], [0.0; 3]][face(point).min(2) as usize];
     let mut radiance: Vec<_> = atlas.points.iter().map(known).collect();
-    unseen::shine(scene.mesh(), &Joined::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
+    unseen::shine(scene.mesh(), &Connectivity::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
     for (point, radiance) in atlas.points.iter().zip(&radiance).filter(|(point, _)| face(point) > 1) {
         let at_floor = scene.mesh().corners(point.triangle).iter().filter(|corner| corner.z == 0.0).count() == 2;
         assert_eq!((radiance[0] - 5.0).abs() < 0.01, at_floor, "triangle {}", point.triangle);
@@ -399,7 +402,7 @@ fn a_source_shines_on_its_unseen_sides_and_no_further() {
     // A floor half of which is dark is no source.
     let mut radiance: Vec<_> = atlas.points.iter().map(known).collect();
     radiance.iter_mut().zip(&seen).step_by(2).filter(|(_, seen)| **seen).for_each(|(light, _)| *light = [0.1; 3]);
-    unseen::shine(scene.mesh(), &Joined::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
+    unseen::shine(scene.mesh(), &Connectivity::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
     assert!(atlas.points.iter().zip(&radiance).all(|(point, radiance)| face(point) < 2 || *radiance == [0.0; 3]));
 }
 
@@ -420,7 +423,7 @@ fn parts_of_a_lamp_across_a_crack_shine_as_all_that_is_seen_of_it() {
     let strip = |point: &SurfacePoint| if point.position[0] > 0.18 { 2.0 } else { 10.0 };
     let mut radiance: Vec<_> =
         atlas.points.iter().zip(&seen).map(|(point, seen)| [if *seen { strip(point) } else { 0.0 }; 3]).collect();
-    unseen::shine(scene.mesh(), &Joined::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
+    unseen::shine(scene.mesh(), &Connectivity::new(scene.mesh()), &atlas, 1.0, &seen, &mut radiance);
     for (point, radiance) in atlas.points.iter().zip(&radiance) {
         match face(point) {
             0 => assert_eq!(radiance[0], strip(point)),

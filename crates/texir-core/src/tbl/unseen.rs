@@ -5,7 +5,7 @@ use std::collections::BinaryHeap;
 
 use glam::Vec3;
 
-use super::joined::Joined;
+use super::connectivity::Connectivity;
 use crate::atlas::Atlas;
 use crate::mesh::Mesh;
 use crate::raster::mean_of_channels;
@@ -39,9 +39,16 @@ impl PartialOrd for Front {
 /// is part of one if the nearest triangle along the surface that has some shines. Texels brighter than `limit` (mean
 /// over the channels) shine. Texels that are known to be no source count as seen, whatever their radiance: a window's
 /// frame does not shine where its pixels show mostly panes.
-pub(super) fn shine(mesh: &Mesh, joined: &Joined, atlas: &Atlas, limit: f32, seen: &[bool], radiance: &mut [[f32; 3]]) {
+pub(super) fn shine(
+    mesh: &Mesh,
+    connectivity: &Connectivity,
+    atlas: &Atlas,
+    limit: f32,
+    seen: &[bool],
+    radiance: &mut [[f32; 3]],
+) {
     let known = light_of_seen(mesh, atlas, limit, seen, radiance);
-    let light = of_sources(&sources(mesh, joined, &known), joined, &known);
+    let light = of_sources(&sources(mesh, connectivity, &known), connectivity, &known);
     for ((radiance, point), seen) in radiance.iter_mut().zip(&atlas.points).zip(seen) {
         if let (Some(light), false) = (light[point.triangle as usize], seen) {
             *radiance = light;
@@ -83,9 +90,11 @@ fn light_of_seen(mesh: &Mesh, atlas: &Atlas, limit: f32, seen: &[bool], radiance
 /// Which triangles are part of a source: of those that are not seen, the ones whose nearest seen triangle is, both
 /// along the surface and along their smooth part of it, where that has one. The dark rim of a spot is nearer to its
 /// shining face than to what is seen of the rim.
-fn sources(mesh: &Mesh, joined: &Joined, known: &[SeenOfTriangle]) -> Vec<bool> {
-    let nearest = spread(mesh, known, |t| joined.of(t));
-    let smooth = spread(mesh, known, |t| joined.of(t).filter(move |&next| joined.part(next) == joined.part(t)));
+fn sources(mesh: &Mesh, connectivity: &Connectivity, known: &[SeenOfTriangle]) -> Vec<bool> {
+    let nearest = spread(mesh, known, |t| connectivity.of(t));
+    let smooth = spread(mesh, known, |t| {
+        connectivity.of(t).filter(move |&next| connectivity.part(next) == connectivity.part(t))
+    });
     nearest.into_iter().zip(smooth).map(|(nearest, smooth)| nearest == Some(true) && smooth != Some(false)).collect()
 }
 
@@ -121,7 +130,7 @@ fn spread<N: Iterator<Item = u32>>(
 
 /// The light of each triangle that `shines`: the mean over what is seen of those that it is connected with. What is
 /// seen at the rim of a lamp alone, where a pixel shows more of what is behind it, is little evidence of its back.
-fn of_sources(shines: &[bool], joined: &Joined, known: &[SeenOfTriangle]) -> Vec<Option<[f32; 3]>> {
+fn of_sources(shines: &[bool], connectivity: &Connectivity, known: &[SeenOfTriangle]) -> Vec<Option<[f32; 3]>> {
     let mut light = vec![None; shines.len()];
     let mut visited = vec![false; shines.len()];
     let mut visit = |t: u32| shines[t as usize] && !std::mem::replace(&mut visited[t as usize], true);
@@ -133,7 +142,7 @@ fn of_sources(shines: &[bool], joined: &Joined, known: &[SeenOfTriangle]) -> Vec
             at += 1;
             texels += known[triangle as usize].sources;
             sum += known[triangle as usize].light;
-            source.extend(joined.of(triangle).filter(|t| visit(*t)));
+            source.extend(connectivity.of(triangle).filter(|t| visit(*t)));
         }
         let mean = (sum / texels.max(1) as f32).to_array();
         source.into_iter().for_each(|t| light[t as usize] = Some(mean));

@@ -42,10 +42,10 @@ impl Noisy {
         &self,
         gather: Gather,
         error: Option<f32>,
-        look: impl FnOnce(&Estimate, &Surface<'_>, &EstimateAt<'_>) -> T,
+        look: impl FnOnce(&Estimate, &SpatialBlocks<'_>, &EstimateAt<'_>) -> T,
     ) -> T {
         let texels = Texels::of(&self.floor);
-        let surface = Surface::new(&texels, self.scene.mesh(), RADIUS).unwrap();
+        let surface = SpatialBlocks::new(&texels, self.scene.mesh(), RADIUS).unwrap();
         let mut backend = lit(&self.scene, &self.radiance);
         let found = Estimate::sample(&mut backend, &surface, gather, error, &Checkpoints::none(), &Silent).unwrap();
         look(&found, &surface, &found.known(&Items::Range(0..self.truth.len())).unwrap())

@@ -20,7 +20,7 @@ use crate::progress::{Progress, Task};
 use crate::raster::Mask;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
-use crate::tbl::shown::{Shown, pixels_per_steradian};
+use crate::tbl::shown::{VisibleSurfaces, pixels_per_steradian};
 
 /// Surfaces seen at a smaller cosine have no vote: the pixel's neighbour may be metres away on them.
 const MIN_COSINE: f32 = 0.1;
@@ -118,7 +118,7 @@ pub fn texel_votes(
     mask: Option<&Mask>,
 ) -> Result<Vec<Option<Vote>>> {
     let camera = &view.camera;
-    let shown = Shown::new(backend, camera)?;
+    let shown = VisibleSurfaces::new(backend, camera)?;
     let candidate = |(texel, point): (usize, &SurfacePoint)| {
         let position = Vec3::from(point.position);
         let at = camera.project(position)?;

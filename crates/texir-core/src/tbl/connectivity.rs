@@ -1,4 +1,4 @@
-//! Triangles that are joined along the surface, whether or not they share vertices.
+//! Triangles that are connected along the surface, whether or not they share vertices.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ const WELD: f32 = 1e-4;
 const CREASE: f32 = 0.75;
 
 /// Which triangles are neighbours, in both directions, and which smooth parts of the surface they make up.
-pub(super) struct Joined {
+pub(super) struct Connectivity {
     /// The triangles across each triangle's edges. An edge of more than two triangles joins them in pairs.
     across: Vec<[Option<u32>; 3]>,
     /// What lies beyond edges of a single triangle.
@@ -27,7 +27,7 @@ pub(super) struct Joined {
     part: Vec<u32>,
 }
 
-impl Joined {
+impl Connectivity {
     /// Of all triangles.
     pub fn new(mesh: &Mesh) -> Self {
         let (vertex, _) = weld(mesh.positions.iter().map(|p| (p / WELD).round().as_ivec3()));
@@ -56,9 +56,9 @@ impl Joined {
                 cracks.entry(other).or_default().push(edge.triangle);
             }
         }
-        let mut joined = Self { across, cracks, part: Vec::new() };
-        joined.part = joined.smooth_parts(mesh);
-        joined
+        let mut connectivity = Self { across, cracks, part: Vec::new() };
+        connectivity.part = connectivity.smooth_parts(mesh);
+        connectivity
     }
 
     /// The triangles beside one.
@@ -67,7 +67,7 @@ impl Joined {
         self.across[triangle as usize].iter().flatten().chain(cracks).copied()
     }
 
-    /// The part of the surface that a triangle is in: what is joined to it without a crease between. Named by one of
+    /// The part of the surface that a triangle is in: what is connected to it without a crease between. Named by one of
     /// its triangles.
     pub fn part(&self, triangle: u32) -> u32 {
         self.part[triangle as usize]

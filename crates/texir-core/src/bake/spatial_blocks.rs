@@ -20,7 +20,7 @@ const SPREAD: f32 = 4.0;
 const KINDS: u32 = 8;
 
 /// Texels, and the blocks of space that they are in.
-pub(super) struct Surface<'a> {
+pub(super) struct SpatialBlocks<'a> {
     pub texels: &'a Texels<'a>,
     mesh: &'a Mesh,
     blocks: Blocks,
@@ -30,16 +30,16 @@ pub(super) struct Surface<'a> {
 
 /// A block's texels of similar size. Neighbourhood radii are multiples of it: in multiples of the map's median texel,
 /// all texels of a small, finely mapped object would be neighbours of each other.
-pub(super) struct Alike {
+pub(super) struct SizeClass {
     /// Edge of a typical one, metres.
     pub texel: f32,
     /// Their places in the block; none where all of its texels are alike.
     among: Option<Vec<usize>>,
 }
 
-impl Alike {
+impl SizeClass {
     /// Of values for the texels of the block, theirs.
-    pub fn of<'v, T: Copy>(&self, values: &'v [T]) -> Cow<'v, [T]> {
+    pub fn gather<'v, T: Copy>(&self, values: &'v [T]) -> Cow<'v, [T]> {
         match &self.among {
             None => Cow::Borrowed(values),
             Some(among) => among.iter().map(|&i| values[i]).collect::<Vec<_>>().into(),
@@ -47,7 +47,7 @@ impl Alike {
     }
 
     /// Puts their values where they belong among those of the block.
-    pub fn put<T>(&self, values: Vec<T>, all: &mut Vec<T>) {
+    pub fn scatter<T>(&self, values: Vec<T>, all: &mut Vec<T>) {
         match &self.among {
             None => *all = values,
             Some(among) => among.iter().zip(values).for_each(|(&i, value)| all[i] = value),
@@ -55,7 +55,7 @@ impl Alike {
     }
 }
 
-impl<'a> Surface<'a> {
+impl<'a> SpatialBlocks<'a> {
     /// Of neighbours that reach `reach` texels.
     pub fn new(texels: &'a Texels<'a>, mesh: &'a Mesh, reach: f32) -> Result<Self> {
         let texel = texels.typical(mesh)?;
@@ -65,7 +65,7 @@ impl<'a> Surface<'a> {
 
     /// The texels with these points by their size. Those that are larger than the typical one, or have up to a quarter
     /// of its edge, are of one kind; beyond that, there is one for every factor of four.
-    pub fn alike(&self, points: &[SurfacePoint]) -> Vec<Alike> {
+    pub fn size_classes(&self, points: &[SurfacePoint]) -> Vec<SizeClass> {
         let kind = |point: &SurfacePoint| {
             let edge = texel_area(self.mesh, self.texels.size(), point.triangle).sqrt();
             // Texels without a size are beside nothing, in whichever kind.
@@ -80,7 +80,7 @@ impl<'a> Surface<'a> {
         let alike = |kind: u32| {
             let among: Vec<usize> = (0..points.len()).filter(|&i| kinds[i] == kind).collect();
             let all = among.len() == points.len();
-            (!among.is_empty()).then(|| Alike { texel: typical(kind), among: (!all).then_some(among) })
+            (!among.is_empty()).then(|| SizeClass { texel: typical(kind), among: (!all).then_some(among) })
         };
         (0..KINDS).filter_map(alike).collect()
     }

@@ -10,8 +10,8 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::connectivity::Connectivity;
 use super::fusion::Fusion;
-use super::joined::Joined;
 use crate::backend::{Backend, Gather};
 use crate::error::Result;
 use crate::lights::Lights;
@@ -72,18 +72,18 @@ pub(super) struct Known<'a> {
     pub dark: &'a [[f32; 3]],
 }
 
-/// Dims the sides of light sources that views hardly show as far as what is around them witnesses. Replaces the
+/// Dims the sides of light sources that views hardly show as far as the surfaces around them tell. Replaces the
 /// backend's TBL.
 pub(super) fn dim(
     fusion: &Fusion<'_>,
     backend: &mut dyn Backend,
-    joined: &Joined,
+    connectivity: &Connectivity,
     known: &Known<'_>,
     radiance: &mut [[f32; 3]],
 ) -> Result<()> {
     let atlas = fusion.atlas;
     let shines = |t: usize| mean_of_channels(radiance[t]) > known.limit;
-    let mut sides = sides(fusion, joined, known.shown, |t| if shines(t) { luminance(&radiance[t]) } else { 0.0 });
+    let mut sides = sides(fusion, connectivity, known.shown, |t| if shines(t) { luminance(&radiance[t]) } else { 0.0 });
     if sides.is_empty() {
         return Ok(());
     }
@@ -92,24 +92,24 @@ pub(super) fn dim(
     let map = atlas.scatter_padded(radiance, &vec![true; radiance.len()], [0.0; 3], fusion.options.gutter);
     backend.set_tbl(&map, &Lights::find(fusion.scene, atlas, &map)?)?;
     let gathered = backend.irradiance(&points, Gather::new(RAYS / 2, RAYS / 2, 0), &Silent)?;
-    let mut witnesses: Vec<Witness> = gathered
+    let mut receivers: Vec<Receiver> = gathered
         .iter()
         .zip(&asked)
-        .map(|(gathered, &t)| Witness {
+        .map(|(gathered, &t)| Receiver {
             irradiance: luminance(&gathered.irradiance),
             radiance: luminance(&radiance[t]),
-            surface: joined.part(atlas.points[t].triangle),
+            surface: connectivity.part(atlas.points[t].triangle),
         })
         .collect();
     let lights = sides.iter().map(|side| fusion.progress.check().map(|()| light_of(fusion, side, radiance, &points)));
     let lights = lights.collect::<Result<Vec<_>>>()?;
     for _ in 0..ROUNDS {
         for (side, light) in sides.iter_mut().zip(&lights) {
-            let of_others = witnesses.iter_mut().zip(light);
-            of_others.for_each(|(witness, light)| witness.irradiance -= side.share * light);
-            side.share = share(&witnesses, light);
-            let of_all = witnesses.iter_mut().zip(light);
-            of_all.for_each(|(witness, light)| witness.irradiance += side.share * light);
+            let of_others = receivers.iter_mut().zip(light);
+            of_others.for_each(|(receiver, light)| receiver.irradiance -= side.share * light);
+            side.share = share(&receivers, light);
+            let of_all = receivers.iter_mut().zip(light);
+            of_all.for_each(|(receiver, light)| receiver.irradiance += side.share * light);
         }
     }
     for side in sides.iter().filter(|side| side.share < 1.0) {
@@ -121,7 +121,7 @@ pub(super) fn dim(
 }
 
 /// A texel that is asked.
-struct Witness {
+struct Receiver {
     /// Luminance of what arrives at it.
     irradiance: f32,
     /// Luminance of what it sends.
@@ -132,7 +132,7 @@ struct Witness {
 
 /// The sides, those with the most power first; of every source, what sends most is none. `shining` is the luminance of
 /// texels that shine, and 0 of others.
-fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(usize) -> f32) -> Vec<Side> {
+fn sides(fusion: &Fusion<'_>, connectivity: &Connectivity, shown: &[f32], shining: impl Fn(usize) -> f32) -> Vec<Side> {
     #[derive(Default)]
     struct Part {
         shining: Vec<usize>,
@@ -143,19 +143,19 @@ fn sides(fusion: &Fusion<'_>, joined: &Joined, shown: &[f32], shining: impl Fn(u
     let (mesh, points) = (fusion.scene.mesh(), &fusion.atlas.points);
     let mut parts: BTreeMap<u32, Part> = BTreeMap::new();
     for (t, point) in points.iter().enumerate().filter(|(t, _)| shining(*t) > 0.0) {
-        let part = parts.entry(joined.part(point.triangle)).or_default();
+        let part = parts.entry(connectivity.part(point.triangle)).or_default();
         part.shining.push(t);
         part.power += shining(t) * fusion.atlas.texel_area(mesh, point.triangle);
         part.triangles.insert(point.triangle);
     }
     for (point, shown) in points.iter().zip(shown) {
-        if let Some(part) = parts.get_mut(&joined.part(point.triangle)) {
+        if let Some(part) = parts.get_mut(&connectivity.part(point.triangle)) {
             part.shown += shown;
         }
     }
     let beside = |part: &Part| {
-        let beside = part.triangles.iter().flat_map(|t| joined.of(*t));
-        beside.filter_map(|t| parts.get(&joined.part(t))).map(|other| other.power).fold(0.0, f32::max)
+        let beside = part.triangles.iter().flat_map(|t| connectivity.of(*t));
+        beside.filter_map(|t| parts.get(&connectivity.part(t))).map(|other| other.power).fold(0.0, f32::max)
     };
     let side = |part: &Part| {
         let position = |t: &usize| Vec3::from(points[*t].position);
@@ -231,22 +231,22 @@ fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[S
 
 /// The share of a side's `light`, beside what arrives from elsewhere, by which the surfaces that it would light look
 /// most like themselves elsewhere.
-fn share(witnesses: &[Witness], light: &[f32]) -> f32 {
+fn share(receivers: &[Receiver], light: &[f32]) -> f32 {
     // What a gather finds may be less than what the side alone would send: it is one of few rays.
-    let elsewhere_at = |witness: &Witness, light: f32| witness.irradiance.max(LEAST * light);
-    let ln_albedo = |witness: &Witness, light: f32, share: f32| {
-        (witness.radiance / (elsewhere_at(witness, light) + share * light)).ln()
+    let elsewhere_at = |receiver: &Receiver, light: f32| receiver.irradiance.max(LEAST * light);
+    let ln_albedo = |receiver: &Receiver, light: f32, share: f32| {
+        (receiver.radiance / (elsewhere_at(receiver, light) + share * light)).ln()
     };
     let mut surfaces: BTreeMap<u32, (Vec<f32>, Vec<usize>)> = BTreeMap::new();
-    for (i, (witness, &light)) in witnesses.iter().zip(light).enumerate() {
-        if !(witness.radiance > 0.0 && elsewhere_at(witness, light) > 0.0) {
+    for (i, (receiver, &light)) in receivers.iter().zip(light).enumerate() {
+        if !(receiver.radiance > 0.0 && elsewhere_at(receiver, light) > 0.0) {
             continue;
         }
-        let (elsewhere, lit) = surfaces.entry(witness.surface).or_default();
-        if light > LIT * (elsewhere_at(witness, light) + light) {
+        let (elsewhere, lit) = surfaces.entry(receiver.surface).or_default();
+        if light > LIT * (elsewhere_at(receiver, light) + light) {
             lit.push(i);
-        } else if light < UNLIT * witness.irradiance {
-            elsewhere.push(ln_albedo(witness, light, 0.0));
+        } else if light < UNLIT * receiver.irradiance {
+            elsewhere.push(ln_albedo(receiver, light, 0.0));
         }
     }
     let mut said: Vec<(usize, f32)> = Vec::new();
@@ -257,7 +257,7 @@ fn share(witnesses: &[Witness], light: &[f32]) -> f32 {
     }
     let error = |k: usize| -> f32 {
         let share = k as f32 / SHARES as f32;
-        said.iter().map(|&(i, albedo)| (ln_albedo(&witnesses[i], light[i], share) - albedo).abs().min(MOST)).sum()
+        said.iter().map(|&(i, albedo)| (ln_albedo(&receivers[i], light[i], share) - albedo).abs().min(MOST)).sum()
     };
     let best = (0..=SHARES).min_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(SHARES);
     let is_dark = 2 * best <= SHARES && error(best) < CONVINCING * error(SHARES);
@@ -349,7 +349,7 @@ mod tests {
         let shown: Vec<f32> = (0..radiance.len()).map(|t| if face(t) == TOP { shown } else { 10.0 }).collect();
         let seen: Vec<bool> = (0..radiance.len()).map(|t| face(t) != TOP).collect();
         let known = Known { limit: 5.0, shown: &shown, seen: &seen, dark: &vec![[0.2; 3]; radiance.len()] };
-        dim(&fusion, &mut backend, &Joined::new(scene.mesh()), &known, &mut radiance).unwrap();
+        dim(&fusion, &mut backend, &Connectivity::new(scene.mesh()), &known, &mut radiance).unwrap();
         let of_top: Vec<f32> = (0..radiance.len()).filter(|t| face(*t) == TOP).map(|t| radiance[t][0]).collect();
         let others = (6..TOP).all(|other| (0..radiance.len()).all(|t| face(t) != other || radiance[t] == [LAMP; 3]));
         assert!(others, "what views show of the lamp was dimmed");
@@ -370,13 +370,13 @@ mod tests {
         // A ceiling of 400 texels, on some of which a side would send light, and what arrives besides.
         let light: Vec<f32> = (0..400).map(|i| 10.0 / (1.0 + i as f32).powf(1.5)).collect();
         let found = |truly: f32, painted: &dyn Fn(usize) -> f32| {
-            let witness = |(i, light): (usize, &f32)| Witness {
+            let receiver = |(i, light): (usize, &f32)| Receiver {
                 irradiance: 1.0,
                 radiance: painted(i) * (1.0 + truly * light),
                 surface: 7,
             };
-            let witnesses: Vec<Witness> = light.iter().enumerate().map(witness).collect();
-            share(&witnesses, &light)
+            let receivers: Vec<Receiver> = light.iter().enumerate().map(receiver).collect();
+            share(&receivers, &light)
         };
         let white = |_: usize| 0.8;
         assert_eq!([0.0, 0.2, 1.0].map(|truly| found(truly, &white)), [0.0, 0.2, 1.0]);
@@ -386,6 +386,6 @@ mod tests {
         let pattern = |i: usize| if i.is_multiple_of(3) { 0.3 } else { 0.8 };
         assert_eq!(found(0.0, &pattern), 0.0);
         // Negative control: nothing is known of surfaces that are lit everywhere.
-        assert_eq!(share(&[Witness { irradiance: 1.0, radiance: 0.8, surface: 7 }], &[10.0]), 1.0);
+        assert_eq!(share(&[Receiver { irradiance: 1.0, radiance: 0.8, surface: 7 }], &[10.0]), 1.0);
     }
 }

@@ -27,10 +27,10 @@ const RAYS: (f32, f32) = (4.0, 16.0);
 const RAYS_PER_TEXEL: f32 = 1.5;
 
 /// What the pixels at and beside light sources show, as far as they were looked at: by view, and by index in its image.
-pub(super) struct Looks(Vec<BTreeMap<usize, Look>>);
+pub(super) struct SourcePixels(Vec<BTreeMap<usize, SourcePixel>>);
 
 /// What one pixel shows.
-pub(super) struct Look {
+pub(super) struct SourcePixel {
     /// Along each axis, as it was looked at.
     rays: u8,
     pub radiance: Vec3,
@@ -39,7 +39,7 @@ pub(super) struct Look {
     pub shares: Vec<Tap>,
 }
 
-impl Looks {
+impl SourcePixels {
     /// None, of some views.
     pub(super) fn of(views: usize) -> Self {
         Self((0..views).map(|_| BTreeMap::new()).collect())
@@ -75,7 +75,7 @@ impl Looks {
                 let image = load(view)?.image;
                 let look = |(pixel, rays): (usize, u8)| {
                     let radiance = Vec3::from(image.data[pixel]);
-                    (pixel, Look { rays, radiance, shares: shares(fusion, view, &index, pixel, rays) })
+                    (pixel, SourcePixel { rays, radiance, shares: shares(fusion, view, &index, pixel, rays) })
                 };
                 looks.par_extend(asked.into_par_iter().map(look));
             }
@@ -86,9 +86,9 @@ impl Looks {
 
     /// The pixels that show something, view by view, each in the order of its pixels: view and index in its image, and
     /// what.
-    pub(super) fn each(&self) -> impl Iterator<Item = ((usize, usize), &Look)> {
+    pub(super) fn each(&self) -> impl Iterator<Item = ((usize, usize), &SourcePixel)> {
         let of_view = |(view, looks)| BTreeMap::iter(looks).map(move |(pixel, look)| ((view, *pixel), look));
-        let shows_something = |look: &Look| !look.shares.is_empty() && look.radiance.is_finite();
+        let shows_something = |look: &SourcePixel| !look.shares.is_empty() && look.radiance.is_finite();
         self.0.iter().enumerate().flat_map(of_view).filter(move |(_, look)| shows_something(look))
     }
 }
@@ -98,7 +98,7 @@ fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
     (0..9).filter_map(move |k| camera.pixel(x as i64 + k % 3 - 1, y as i64 + k / 3 - 1))
 }
 
-/// See [`Look::shares`].
+/// See [`SourcePixel::shares`].
 fn shares(fusion: &Fusion<'_>, view: usize, index: &TexelIndex, pixel: usize, rays: u8) -> Vec<Tap> {
     let (scene, camera) = (fusion.scene, &fusion.cameras[view]);
     let origin = V3(camera.position().to_array());
