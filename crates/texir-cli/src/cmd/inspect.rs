@@ -42,7 +42,7 @@ impl Inspect {
     pub fn run(&self, session: &Session<'_>) -> Result<(), Failure> {
         let (capture, origin) = self.open(session)?;
         if let Some(folder) = &self.overlay {
-            if !origin.capture {
+            if !origin.is_capture {
                 return Err(Failure::new(
                     "--overlay needs a capture: lenses and 8-bit images have to be converted first",
                 )

@@ -96,8 +96,8 @@ fn a_mesh_without_an_atlas() {
     assert!(said.out.contains("the mesh gets a new atlas"), "{}", said.out);
     let said = succeed(&["inspect".as_ref(), out.as_os_str(), "--json".as_ref()]);
     let atlas = serde_json::from_str::<Value>(&said.out).unwrap()["atlas"].take();
-    assert_eq!((&atlas["overlapping"], &atlas["outside_triangles"]), (&0.0.into(), &0.into()));
-    assert!(atlas["covered"].as_f64().unwrap() > 0.5, "{atlas}");
+    assert_eq!((&atlas["overlapping_fraction"], &atlas["outside_triangles"]), (&0.0.into(), &0.into()));
+    assert!(atlas["covered_fraction"].as_f64().unwrap() > 0.5, "{atlas}");
 }
 
 #[test]

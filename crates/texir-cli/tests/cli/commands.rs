@@ -110,7 +110,7 @@ fn inspect_says_what_is_there() {
     ] {
         assert_eq!(found.pointer(pointer).and_then(Value::as_u64), Some(expected as u64), "{pointer} in {}", said.out);
     }
-    assert_eq!(found["known"]["true_textures"], true);
+    assert_eq!(found["inputs"]["true_textures"], true);
     assert_eq!(found["classes"][0]["name"], Value::Null);
     assert_eq!(found["warnings"], serde_json::json!([]));
     assert_eq!(capture.outputs(), [""; 0], "a dry run writes nothing");

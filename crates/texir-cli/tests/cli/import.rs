@@ -45,12 +45,12 @@ fn a_list_of_panoramas_becomes_the_capture_that_it_came_from() {
 
     let said = succeed(&["inspect".as_ref(), out.as_os_str(), "--json".as_ref()]);
     let after: Value = serde_json::from_str(&said.out).unwrap();
-    assert_eq!(after["origin"]["capture"], true);
+    assert_eq!(after["origin"]["is_capture"], true);
     assert_eq!((&after["mesh"]["triangles"], &after["atlas"]), (&before["mesh"]["triangles"], &before["atlas"]));
     for (after, before) in after["views"].as_array().unwrap().iter().zip(before["views"].as_array().unwrap()) {
         assert_eq!(
-            (&after["name"], &after["split"], &after["open"]),
-            (&before["name"], &before["split"], &before["open"])
+            (&after["name"], &after["split"], &after["no_hit"]),
+            (&before["name"], &before["split"], &before["no_hit"])
         );
         let metres = |view: &Value| view["nearest"].as_f64().unwrap();
         assert!((metres(after) - metres(before)).abs() < 1e-4);

@@ -35,7 +35,7 @@ pub struct Findings {
     pub mesh: MeshFindings,
     pub atlas: AtlasFindings,
     pub views: Vec<ViewFindings>,
-    pub known: Known,
+    pub inputs: Inputs,
     /// Variance of the images' point spread beyond that of a pixel, square pixels; absent where no surface is seen from
     /// near and from far, and of what is no capture yet.
     pub blur: Option<f32>,
@@ -50,7 +50,7 @@ pub struct Findings {
 pub struct Origin {
     pub format: String,
     /// The folder is a capture; otherwise `texir import` makes one of it.
-    pub capture: bool,
+    pub is_capture: bool,
     pub assumed: Vec<String>,
     /// What an import will ask for or do, in sentences.
     #[serde(skip)]
@@ -63,7 +63,7 @@ pub struct MeshFindings {
     pub triangles: usize,
     pub vertices: usize,
     /// Metres.
-    pub size: [f32; 3],
+    pub extent: [f32; 3],
     /// Square metres.
     pub area: f64,
 }
@@ -72,8 +72,8 @@ pub struct MeshFindings {
 pub struct AtlasFindings {
     /// Side, texels.
     pub size: usize,
-    pub covered: f64,
-    pub overlapping: f64,
+    pub covered_fraction: f64,
+    pub overlapping_fraction: f64,
     pub outside_triangles: usize,
     pub texels_per_metre: f64,
 }
@@ -86,7 +86,7 @@ pub struct ViewFindings {
     pub width: usize,
     pub height: usize,
     /// Share of directions that meet no surface.
-    pub open: f64,
+    pub no_hit: f64,
     /// Share of the surfaces that are seen from behind.
     pub back_faces: f64,
     /// Distance to the surface below, metres.
@@ -97,7 +97,7 @@ pub struct ViewFindings {
 
 /// What the capture brings along, in numbers of views where it is per view.
 #[derive(Serialize)]
-pub struct Known {
+pub struct Inputs {
     pub train: usize,
     pub novel: usize,
     pub semantic: usize,
@@ -125,14 +125,14 @@ pub struct Estimate {
     pub bake_rays: u64,
     pub fit_rays: u64,
     /// Bytes of host memory.
-    pub memory: u64,
+    pub memory_bytes: u64,
 }
 
 impl Origin {
     pub fn of_capture() -> Self {
         Self {
             format: "texir (nerfstudio's transforms.json without distortion)".to_owned(),
-            capture: true,
+            is_capture: true,
             assumed: vec![
                 "poses are camera-to-world with OpenGL axes (−Z forward, +Y up)".to_owned(),
                 "units are metres, +Z is up".to_owned(),
@@ -160,7 +160,7 @@ impl Origin {
         if distorted > 0 {
             assumed.push(format!("{distorted} images are distorted by their lenses; `texir import` undistorts them"));
         }
-        Self { format: source.format.to_owned(), capture: false, assumed, warnings }
+        Self { format: source.format.to_owned(), is_capture: false, assumed, warnings }
     }
 }
 
@@ -181,8 +181,8 @@ impl Findings {
         let covered_texels = report.covered_fraction * (size * size) as f64;
         let atlas = AtlasFindings {
             size,
-            covered: report.covered_fraction,
-            overlapping: report.overlapping_fraction,
+            covered_fraction: report.covered_fraction,
+            overlapping_fraction: report.overlapping_fraction,
             outside_triangles: report.outside_unit_square_triangles,
             texels_per_metre: (covered_texels / area).sqrt(),
         };
@@ -190,7 +190,7 @@ impl Findings {
         let views = capture.views.iter().map(|view| probe(&mut backend, view)).collect::<Result<Vec<_>, _>>()?;
         let (low, high) = mesh.bounds();
         let mut unreadable = Vec::new();
-        let blur = match origin.capture {
+        let blur = match origin.is_capture {
             true => or_told(blur::measure(&mut backend, &training, session.console), &mut unreadable)?.flatten(),
             false => None,
         };
@@ -201,10 +201,10 @@ impl Findings {
                 file: capture.mesh_path.display().to_string(),
                 triangles: mesh.triangles.len(),
                 vertices: mesh.positions.len(),
-                size: (high - low).to_array(),
+                extent: (high - low).to_array(),
                 area,
             },
-            known: known(capture),
+            inputs: known(capture),
             blur,
             classes,
             estimate: estimate(capture, settings, &atlas),
@@ -214,7 +214,7 @@ impl Findings {
             origin,
         };
         findings.warnings.extend(unreadable);
-        if findings.origin.capture {
+        if findings.origin.is_capture {
             findings.warnings.extend(masked(&training, session)?);
             let survey = Survey::new(&mut backend, &training, session.console);
             let survey = or_told(survey, &mut findings.warnings)?;
@@ -283,16 +283,16 @@ fn probe(backend: &mut CpuBackend, view: &View) -> Result<ViewFindings, Failure>
         },
         width: view.camera.width,
         height: view.camera.height,
-        open: open / all,
+        no_hit: open / all,
         back_faces: if seen > 0.0 { behind / seen } else { 0.0 },
         height_above_floor: floor,
         nearest: nearest.is_finite().then_some(nearest),
     })
 }
 
-fn known(capture: &Capture) -> Known {
+fn known(capture: &Capture) -> Inputs {
     let with = |has: fn(&View) -> bool| capture.views.iter().filter(|v| has(v)).count();
-    Known {
+    Inputs {
         train: capture.views(Split::Train).count(),
         novel: capture.views(Split::Novel).count(),
         semantic: with(|v| v.semantic.is_some()),
@@ -343,8 +343,8 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
     let bakes = 1.0 + 0.25 * (settings.bakes() - 1) as f64;
     let rays = f64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32));
     Estimate {
-        bake_rays: (texels as f64 * atlas.covered * rays * bakes) as u64,
+        bake_rays: (texels as f64 * atlas.covered_fraction * rays * bakes) as u64,
         fit_rays,
-        memory: needed.min(settings.max_memory).0,
+        memory_bytes: needed.min(settings.max_memory).0,
     }
 }

@@ -5,33 +5,33 @@ use std::collections::BTreeMap;
 use texir_core::capture::Split;
 use texir_core::tbl::blur;
 
-use super::findings::{ClassFindings, Findings, Known, ViewFindings};
+use super::findings::{ClassFindings, Findings, Inputs, ViewFindings};
 use crate::console::count;
 
 /// The findings in words, with a row each for as many cameras.
 pub fn text(findings: &Findings, rows: usize) -> String {
-    let Findings { origin, mesh, atlas, known, estimate, .. } = findings;
+    let Findings { origin, mesh, atlas, inputs, estimate, .. } = findings;
     let mut out = String::new();
     let mut line = |name: &str, value: String| out.push_str(&format!("{name:>16}  {value}\n"));
     line("capture", findings.capture.clone());
-    let next = if origin.capture { "" } else { "; `texir import` makes a capture of it" };
+    let next = if origin.is_capture { "" } else { "; `texir import` makes a capture of it" };
     line("format", format!("{}{next}", origin.format));
     origin.assumed.iter().for_each(|assumed| line("assumed", assumed.clone()));
     line("mesh", format!("{}, {} triangles, {} vertices", mesh.file, mesh.triangles, mesh.vertices));
-    let [x, y, z] = mesh.size;
+    let [x, y, z] = mesh.extent;
     line("extent", format!("{x:.2} × {y:.2} × {z:.2} m (z is up), {:.1} m² of surface", mesh.area));
     line(
         "atlas",
         format!(
             "{0} × {0}, {1:.1} % covered, {2:.2} % of that overlapping, {3} triangles outside, {4:.0} texels per metre",
             atlas.size,
-            100.0 * atlas.covered,
-            100.0 * atlas.overlapping,
+            100.0 * atlas.covered_fraction,
+            100.0 * atlas.overlapping_fraction,
             atlas.outside_triangles,
             atlas.texels_per_metre
         ),
     );
-    line("views", format!("{} training, {} novel", known.train, known.novel));
+    line("views", format!("{} training, {} novel", inputs.train, inputs.novel));
     if let Some(blur) = findings.blur.filter(|blur| *blur < blur::SHARP) {
         line("images", format!("as sharp as their pixels (point spread of {blur:.2} square pixels beyond)"));
     }
@@ -39,9 +39,9 @@ pub fn text(findings: &Findings, rows: usize) -> String {
         "annotated",
         format!(
             "semantic {}, mask {}, room {} of {} views",
-            known.semantic,
-            known.mask,
-            known.room,
+            inputs.semantic,
+            inputs.mask,
+            inputs.room,
             findings.views.len()
         ),
     );
@@ -53,14 +53,14 @@ pub fn text(findings: &Findings, rows: usize) -> String {
         line("classes", findings.classes.iter().map(class).collect::<Vec<_>>().join(", "));
     }
     let yes = |known| if known { "given" } else { "to be built" };
-    line("HDR texture", yes(known.hdr_texture).to_owned());
+    line("HDR texture", yes(inputs.hdr_texture).to_owned());
     line(
         "truth",
         format!(
             "albedo of {} views, roughness of {} views, {}",
-            known.albedo,
-            known.roughness,
-            if known.true_textures { "textures" } else { "no textures" }
+            inputs.albedo,
+            inputs.roughness,
+            if inputs.true_textures { "textures" } else { "no textures" }
         ),
     );
     line(
@@ -69,7 +69,7 @@ pub fn text(findings: &Findings, rows: usize) -> String {
             "{} rays to bake, {} to fit, about {:.1} GB of memory",
             count(estimate.bake_rays),
             count(estimate.fit_rays),
-            estimate.memory as f64 / 1e9
+            estimate.memory_bytes as f64 / 1e9
         ),
     );
     out.push_str(&cameras(&findings.views, rows));
@@ -84,7 +84,7 @@ pub fn text(findings: &Findings, rows: usize) -> String {
 
 /// All cameras in a line.
 fn summary(findings: &Findings) -> String {
-    let Known { train, novel, semantic, mask, .. } = findings.known;
+    let Inputs { train, novel, semantic, mask, .. } = findings.inputs;
     let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     findings.views.iter().for_each(|view| *sizes.entry((view.width, view.height)).or_default() += 1);
     let sizes: Vec<String> = sizes.iter().map(|((w, h), count)| format!("{count} of {w} × {h}")).collect();
@@ -99,7 +99,7 @@ fn cameras(views: &[ViewFindings], rows: usize) -> String {
     let views = &views[..rows.min(views.len())];
     let width = views.iter().map(|v| v.name.chars().count()).max().unwrap_or(0).max(6);
     let mut out =
-        format!("\n{:<width$}  split  projection       size         open  behind  above floor  nearest\n", "camera");
+        format!("\n{:<width$}  split  projection       size          open   backs  above floor  nearest\n", "camera");
     let metres = |value: Option<f32>| value.map_or("-".to_owned(), |v| format!("{v:.2} m"));
     for view in views {
         let split = match view.split {
@@ -111,7 +111,7 @@ fn cameras(views: &[ViewFindings], rows: usize) -> String {
             "{:<width$}  {split}  {:<15}  {size:<11}  {:>3.0} %  {:>4.0} %  {:>11}  {:>7}\n",
             view.name,
             view.projection,
-            100.0 * view.open,
+            100.0 * view.no_hit,
             100.0 * view.back_faces,
             metres(view.height_above_floor),
             metres(view.nearest)

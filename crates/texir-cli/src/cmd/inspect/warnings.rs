@@ -43,11 +43,11 @@ pub fn masked(views: &[View], session: &Session<'_>) -> Result<Option<String>, F
 pub fn warnings(findings: &Findings) -> Vec<String> {
     let mut warnings = Vec::new();
     for view in &findings.views {
-        if view.open > OUTSIDE {
+        if view.no_hit > OUTSIDE {
             warnings.push(format!(
                 "camera {} sees no surface in {:.0} % of all directions: it is outside of the mesh, or the mesh is open",
                 view.name,
-                100.0 * view.open
+                100.0 * view.no_hit
             ));
         }
         if view.back_faces > INSIDE_OUT {
@@ -68,10 +68,10 @@ pub fn warnings(findings: &Findings) -> Vec<String> {
             HEIGHTS.end()
         ));
     }
-    if findings.atlas.overlapping > 0.01 {
+    if findings.atlas.overlapping_fraction > 0.01 {
         warnings.push(format!(
             "{:.1} % of the covered texels belong to more than one surface: `texir import --unwrap` makes a new atlas",
-            100.0 * findings.atlas.overlapping
+            100.0 * findings.atlas.overlapping_fraction
         ));
     }
     if let Some(blur) = findings.blur.filter(|blur| *blur >= blur::SHARP) {
@@ -79,7 +79,7 @@ pub fn warnings(findings: &Findings) -> Vec<String> {
             "the images are softer than their pixels, by a point spread of {blur:.2} square pixels: a fit is better with --sharpen"
         ));
     }
-    if findings.known.semantic == 0 {
+    if findings.inputs.semantic == 0 {
         warnings.push("no view has semantic classes: a fit makes segments from geometry and colour alone".to_owned());
     }
     warnings
