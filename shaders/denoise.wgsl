@@ -31,10 +31,10 @@ struct Estimate {
 struct Smoothed {
     a: vec3f,
     // Variance of the smoothed value over that of a single point: Σ w² / (Σ w)².
-    share: f32,
+    variance_ratio: f32,
     b: vec3f,
     // Square of the point's value.
-    level: f32,
+    squared_value: f32,
 }
 
 // The noise at a point.
@@ -101,9 +101,9 @@ fn span_of(own: Entry, column: u32) -> vec2u {
     return spans[(own.cell - params.first_cell) * COLUMNS + column];
 }
 
-// Offset of point j in shares of a search radius (texels), and 1 less its square: how near it is; negative where it is
-// too far, on another surface, or apart from the own point.
-fn nearness(own: Entry, apart: u32, j: u32, radius_texels: f32) -> vec4f {
+// Offset of point j in shares of a search radius (texels), and the kernel there, 1 − |x|² (Epanechnikov); negative
+// where it is too far, on another surface, or apart from the own point.
+fn kernel_at(own: Entry, apart: u32, j: u32, radius_texels: f32) -> vec4f {
     let other = entries[j];
     let radius = radius_texels * params.texel;
     let offset = other.position - own.position;
@@ -137,15 +137,15 @@ fn smooth_halves(
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
         let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, estimate.apart, j, params.guide_radius).w;
-            if near < 0.0 {
+            let kernel = kernel_at(own, estimate.apart, j, params.guide_radius).w;
+            if kernel < 0.0 {
                 continue;
             }
             let other = estimates[j];
-            a += near * other.a;
-            b += near * other.b;
-            weight += near;
-            squares += near * near;
+            a += kernel * other.a;
+            b += kernel * other.b;
+            weight += kernel;
+            squares += kernel * kernel;
         }
     }
     a /= weight;
@@ -172,18 +172,18 @@ fn measure_noise(
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
         let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, apart, j, params.noise_radius).w;
-            if near < 0.0 {
+            let kernel = kernel_at(own, apart, j, params.noise_radius).w;
+            if kernel < 0.0 {
                 continue;
             }
             let other = estimates[j];
             // (a − b)² estimates the variance of a − b; relative to the value, it is alike in light and in shadow.
-            sum += near * square(other.a - other.b) / smoothed[j].level;
-            weight += near;
+            sum += kernel * square(other.a - other.b) / smoothed[j].squared_value;
+            weight += kernel;
         }
     }
     let relative = sum / weight;
-    noise[i] = Noise(relative, max(relative * smoothed[i].level * smoothed[i].share, params.tiny));
+    noise[i] = Noise(relative, max(relative * smoothed[i].squared_value * smoothed[i].variance_ratio, params.tiny));
 }
 
 // Weighted least squares of value = c + g·at + atᵀH at, with the terms (1, x, y, x²; xy, y²).
@@ -274,13 +274,13 @@ fn regress(
     for (var column = 0u; column < COLUMNS; column++) {
         let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, estimate.apart, j, params.radius);
-            if near.w < 0.0 {
+            let kernel = kernel_at(own, estimate.apart, j, params.radius);
+            if kernel.w < 0.0 {
                 continue;
             }
             let other = estimates[j];
-            let x = dot(near.xyz, frame.tangent);
-            let y = dot(near.xyz, frame.bitangent);
+            let x = dot(kernel.xyz, frame.tangent);
+            let y = dot(kernel.xyz, frame.bitangent);
             let monomials = mat4x4f(
                 vec4f(1.0, x, y, x * x),
                 vec4f(x * y, y * y, x * x * x, x * x * y),
@@ -292,7 +292,7 @@ fn regress(
             let differences = vec2f(square(guide.b - guide_there.b), square(guide.a - guide_there.a));
             let beyond = max(differences - own_noise.smoothed, vec2f(0.0));
             let alike = 1.0 + beyond / (own_noise.smoothed * params.tolerance * params.tolerance);
-            let weights = near.w / (alike * alike);
+            let weights = kernel.w / (alike * alike);
             a = add_to(a, weights.x, monomials, other.a);
             b = add_to(b, weights.y, monomials, other.b);
         }
@@ -320,8 +320,8 @@ fn clean(
     for (var column = 0u; column < NEAR_COLUMNS; column++) {
         let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, estimate.apart, j, params.residual_radius).w;
-            if near < 0.0 {
+            let kernel = kernel_at(own, estimate.apart, j, params.residual_radius).w;
+            if kernel < 0.0 {
                 continue;
             }
             let other = estimates[j];
@@ -329,8 +329,8 @@ fn clean(
             let a = other.a - fit.a;
             let b = other.b - fit.b;
             let level = max(square(fit.a + fit.b), params.tiny);
-            shared_part += near * dot(a, b) / level;
-            variance += near * square(a - b) / (4.0 * level);
+            shared_part += kernel * dot(a, b) / level;
+            variance += kernel * square(a - b) / (4.0 * level);
         }
     }
     // Wiener's weight, of what is more than chance.
@@ -365,13 +365,13 @@ fn conserve(
     for (var column = 0u; column < COLUMNS; column++) {
         let span = span_of(own, column);
         for (var j = span.x; j < span.y; j++) {
-            let near = nearness(own, apart, j, params.radius).w;
-            if near < 0.0 {
+            let kernel = kernel_at(own, apart, j, params.radius).w;
+            if kernel < 0.0 {
                 continue;
             }
             let other = estimates[j];
             let there = cleaned[j].xyz;
-            let share = near * near * min(level, level_of(there)) / max(level, level_of(there));
+            let share = kernel * kernel * min(level, level_of(there)) / max(level, level_of(there));
             let here = (other.a + other.b) * 0.5 - there;
             lost += share * here;
             weight += share;

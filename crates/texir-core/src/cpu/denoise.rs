@@ -21,14 +21,14 @@ use crate::real::{Real, V3};
 /// The smallest variance and squared value that is divided by.
 const TINY: f64 = f32::MIN_POSITIVE as f64;
 
-/// What a point's closest neighbours tell about it.
+/// A point smoothed over its closest neighbours.
 struct Smoothed<R> {
     /// Smoothed estimate of each half.
     halves: [V3<R>; 2],
-    /// Variance of what is smoothed as a share of a point's.
-    share: R,
-    /// Square of the point's value: its own beside what is brighter, the smoothed one where it is bright by chance.
-    level: R,
+    /// Variance of the smoothed value over that of a single point: Σ w² / (Σ w)².
+    variance_ratio: R,
+    /// Square of the smaller value: the own one beside something brighter, the smoothed one of a firefly.
+    squared_value: R,
 }
 
 /// The noise at a point.
@@ -45,9 +45,9 @@ const PIECE: usize = 1 << 15;
 /// The mean of both halves at every point without most of its noise. Errors when `progress` says to stop.
 pub fn denoise<R: Real>(noisy: Noisy<'_>, progress: &dyn Progress) -> Result<Vec<[R; 3]>> {
     let search = Search { noisy, neighbours: Neighbours::new(noisy.points, CELL * noisy.texel) };
-    let smoothed = search.each(progress, |i| search.smoothed::<R>(i))?;
-    let noise = search.each(progress, |i| search.noise(i, &smoothed))?;
-    let fits = search.far(progress, &Fits { noisy, smoothed, noise })?;
+    let smoothed = search.each(progress, |i| search.smooth_halves::<R>(i))?;
+    let noise = search.each(progress, |i| search.measure_noise(i, &smoothed))?;
+    let fits = search.far(progress, &Regress { noisy, smoothed, noise })?;
     let cleaned = search.each(progress, |i| search.clean(i, &fits))?;
     search.far(progress, &Conserve { noisy, cleaned })
 }
@@ -69,7 +69,7 @@ impl Search<'_> {
         Ok(found)
     }
 
-    fn far<R: Real, const TOLD: usize, P: Pass<R, TOLD>>(
+    fn far<R: Real, const FEATURES: usize, P: Pass<R, FEATURES>>(
         &self,
         progress: &dyn Progress,
         pass: &P,
@@ -78,7 +78,7 @@ impl Search<'_> {
     }
 
     /// Gives `found` the points within `radius` texels that may be mixed with point `i`, offsets in shares of the
-    /// radius, and 1 less the square of these: how near they are.
+    /// radius, and the kernel there, 1 − |x|² (Epanechnikov).
     #[inline(always)]
     fn around<R: Real>(&self, i: usize, radius: f32, mut found: impl FnMut(usize, V3<R>, R)) {
         let (apart, radius) = (self.noisy.apart, radius * self.noisy.texel);
@@ -91,41 +91,44 @@ impl Search<'_> {
         });
     }
 
-    fn smoothed<R: Real>(&self, i: usize) -> Smoothed<R> {
+    fn smooth_halves<R: Real>(&self, i: usize) -> Smoothed<R> {
         let (mut sums, mut weight, mut squares) = ([V3::zero(); 2], R::of(0.0), R::of(0.0));
-        self.around(i, GUIDE_RADIUS, |j, _, near: R| {
+        self.around(i, GUIDE_RADIUS, |j, _, kernel: R| {
             let halves = self.noisy.at(j);
-            sums = [0, 1].map(|half| sums[half] + halves[half] * near);
-            weight = weight + near;
-            squares = squares + near * near;
+            sums = [0, 1].map(|half| sums[half] + halves[half] * kernel);
+            weight = weight + kernel;
+            squares = squares + kernel * kernel;
         });
         let halves = sums.map(|sum| sum * (R::of(1.0) / weight));
-        let level = square(mean(halves)).min(square(mean(self.noisy.at(i)))).max(R::of(TINY));
-        Smoothed { halves, share: squares / (weight * weight), level }
+        let squared_value = square(mean(halves)).min(square(mean(self.noisy.at(i)))).max(R::of(TINY));
+        Smoothed { halves, variance_ratio: squares / (weight * weight), squared_value }
     }
 
-    fn noise<R: Real>(&self, i: usize, smoothed: &[Smoothed<R>]) -> Noise<R> {
+    fn measure_noise<R: Real>(&self, i: usize, smoothed: &[Smoothed<R>]) -> Noise<R> {
         let (mut sum, mut weight) = (R::of(0.0), R::of(0.0));
-        self.around(i, NOISE_RADIUS, |j, _, near: R| {
+        self.around(i, NOISE_RADIUS, |j, _, kernel: R| {
             // (a − b)² estimates the variance of a − b; relative to the value, it is alike in light and in shadow.
             let [a, b] = self.noisy.at(j);
-            sum = sum + near * square(a - b) / smoothed[j].level;
-            weight = weight + near;
+            sum = sum + kernel * square(a - b) / smoothed[j].squared_value;
+            weight = weight + kernel;
         });
         let relative = sum / weight;
-        Noise { relative, smoothed: (relative * smoothed[i].level * smoothed[i].share).max(R::of(TINY)) }
+        Noise {
+            relative,
+            smoothed: (relative * smoothed[i].squared_value * smoothed[i].variance_ratio).max(R::of(TINY)),
+        }
     }
 
     /// The mean of both fits, and of what is beyond them as much as both halves share.
     fn clean<R: Real>(&self, i: usize, fits: &[[V3<R>; 2]]) -> V3<R> {
         // Relative to the fits: what both halves share, and the variance of their mean.
         let (mut shared, mut noise) = (R::of(0.0), R::of(0.0));
-        self.around(i, RESIDUAL_RADIUS, |j, _, near: R| {
+        self.around(i, RESIDUAL_RADIUS, |j, _, kernel: R| {
             let [a, b] = self.noisy.at(j);
             let (a, b) = (a - fits[j][0], b - fits[j][1]);
             let level = square(fits[j][0] + fits[j][1]).max(R::of(TINY));
-            shared = shared + near * a.dot(b) / level;
-            noise = noise + near * square(a - b) / (R::of(4.0) * level);
+            shared = shared + kernel * a.dot(b) / level;
+            noise = noise + kernel * square(a - b) / (R::of(4.0) * level);
         });
         // Wiener's weight, of what is more than chance.
         let signal = (shared - noise * R::of(f64::from(RESIDUAL_THRESHOLD))).max(R::of(0.0));
@@ -136,7 +139,7 @@ impl Search<'_> {
 }
 
 /// The fit of each half.
-struct Fits<'a, R> {
+struct Regress<'a, R> {
     noisy: Noisy<'a>,
     smoothed: Vec<Smoothed<R>>,
     noise: Vec<Noise<R>>,
@@ -154,12 +157,12 @@ struct FitSums<R> {
     fits: [Fit<R>; 2],
 }
 
-impl<R: Real> Pass<R, 12> for Fits<'_, R> {
+impl<R: Real> Pass<R, 12> for Regress<'_, R> {
     type Sums = FitSums<R>;
     type Found = [V3<R>; 2];
 
     /// Both halves, and both smoothed.
-    fn told(&self, j: usize) -> [R; 12] {
+    fn features(&self, j: usize) -> [R; 12] {
         let ([V3([a, b, c]), V3([d, e, f])], [V3([g, h, i]), V3([k, l, m])]) =
             (self.noisy.at(j), self.smoothed[j].halves);
         [a, b, c, d, e, f, g, h, i, k, l, m]
@@ -180,8 +183,8 @@ impl<R: Real> Pass<R, 12> for Fits<'_, R> {
     }
 
     #[inline(always)]
-    fn add(sums: &mut FitSums<R>, at: [Lanes<R>; 3], near: Lanes<R>, told: &[Lanes<R>; 12]) {
-        let &[a, b, c, d, e, f, g, h, i, k, l, m] = told;
+    fn add(sums: &mut FitSums<R>, at: [Lanes<R>; 3], kernel: Lanes<R>, features: &[Lanes<R>; 12]) {
+        let &[a, b, c, d, e, f, g, h, i, k, l, m] = features;
         let (halves, smoothed) = ([[a, b, c], [d, e, f]], [[g, h, i], [k, l, m]]);
         let monomials = Monomials::at(Lanes::dot(at, sums.tangent), Lanes::dot(at, sums.bitangent));
         for half in 0..2 {
@@ -189,7 +192,7 @@ impl<R: Real> Pass<R, 12> for Fits<'_, R> {
             let apart = [own[0] - other[0], own[1] - other[1], own[2] - other[2]];
             let beyond = (Lanes::dot(apart, apart) - sums.expected).max(Lanes::splat(R::of(0.0)));
             let alike = Lanes::splat(R::of(1.0)) + beyond / sums.tolerated;
-            sums.fits[half].add(near / (alike * alike), &monomials, halves[half]);
+            sums.fits[half].add(kernel / (alike * alike), &monomials, halves[half]);
         }
     }
 
@@ -227,7 +230,7 @@ impl<R: Real> Pass<R, 4> for Conserve<'_, R> {
     type Found = [R; 3];
 
     /// What was lost, and how bright what is left is.
-    fn told(&self, j: usize) -> [R; 4] {
+    fn features(&self, j: usize) -> [R; 4] {
         let V3([r, g, b]) = mean(self.noisy.at(j)) - self.cleaned[j];
         [r, g, b, self.level(j)]
     }
@@ -239,8 +242,8 @@ impl<R: Real> Pass<R, 4> for Conserve<'_, R> {
     }
 
     #[inline(always)]
-    fn add(sums: &mut ConserveSums<R>, _: [Lanes<R>; 3], near: Lanes<R>, &[r, g, b, level]: &[Lanes<R>; 4]) {
-        let share = near * near * (sums.level.min(level) / sums.level.max(level));
+    fn add(sums: &mut ConserveSums<R>, _: [Lanes<R>; 3], kernel: Lanes<R>, &[r, g, b, level]: &[Lanes<R>; 4]) {
+        let share = kernel * kernel * (sums.level.min(level) / sums.level.max(level));
         sums.lost = [sums.lost[0] + r * share, sums.lost[1] + g * share, sums.lost[2] + b * share];
         sums.weight = sums.weight + share;
         sums.squares = sums.squares + share * share * Lanes::dot([r, g, b], [r, g, b]);

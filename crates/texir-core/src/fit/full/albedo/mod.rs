@@ -1,12 +1,12 @@
 //! Albedo as one sparse, robust least-squares problem over all views, for given roughness.
 //!
 //! A pixel's row says Σ_t w_t (E_t/E_p) a_t = (I − S) π/(E_p d), with S the specular radiance, d the diffuse model's
-//! factor and E_p = Σ w_t E_t; both sides are albedos. A metal has no diffuse part, and its albedo is F0. As its specular
-//! radiance is S = F0 P + Q, its row is Σ_t w_t (π P/E_p) a_t = (I − Q) π/E_p, of the same unit, so that misfits
-//! compare. A row's weight is that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 + (e/2σ)²),
-//! over (σ/σ_0)². Neighbours in a segment are drawn together by a Cauchy loss as well, so that edges survive, and every
-//! texel weakly to its segment's mean. Solved by conjugate gradients with Jacobi preconditioning, the weights taken anew
-//! between runs (iteratively re-weighted least squares; [`solver`]).
+//! factor and E_p = Σ w_t E_t; both sides are albedos. A metal has no diffuse part, and its albedo is F0. As its
+//! specular radiance is S = F0 P + Q, its row is Σ_t w_t (π P/E_p) a_t = (I − Q) π/E_p, of the same unit, so that
+//! misfits compare. A row's weight is that of a Cauchy loss (residuals e beyond twice the noise σ count less), 1/(1 +
+//! (e/2σ)²), over (σ/σ_0)². Neighbours in a segment are drawn together by a Cauchy loss as well, so that edges survive,
+//! and every texel weakly to its segment's mean. Solved by conjugate gradients with Jacobi preconditioning, the weights
+//! taken anew between runs (iteratively re-weighted least squares; [`solver`]).
 
 pub mod palette;
 mod solver;
