@@ -296,7 +296,7 @@ mod tests {
         report.rooms = None;
         report.curves.clear();
         let html = page::html(&report);
-        assert!(html.contains("no scores of true materials") && !html.contains("true materials"));
+        assert!(html.contains("no scores to compare with") && !html.contains("true materials"));
         assert!(!html.contains("Floor plan") && !html.contains("Stage I"));
     }
 }

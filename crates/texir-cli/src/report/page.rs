@@ -103,7 +103,7 @@ fn figures(page: &mut String, report: &Report) {
             "True materials are rendered with the same lighting, atlas and renderer. A fit can exceed them in renderings, as \
              fitted materials also compensate for errors in the lighting."
         } else {
-            "The capture has no true textures, so there are no scores of true materials."
+            "The capture has no true textures, so there are no scores to compare with."
         }
     );
 }
