@@ -101,10 +101,10 @@ fn inspect_says_what_is_there() {
     let found = json(&said.out);
     for (pointer, expected) in [
         ("/mesh/triangles", 24),
-        ("/known/train", 3),
-        ("/known/novel", 1),
-        ("/known/semantic", 4),
-        ("/known/albedo", 4),
+        ("/inputs/train", 3),
+        ("/inputs/novel", 1),
+        ("/inputs/semantic", 4),
+        ("/inputs/albedo", 4),
         ("/views/0/width", WIDTH),
         ("/atlas/outside_triangles", 0),
     ] {
@@ -228,7 +228,7 @@ fn what_a_fit_corrects_is_corrected_when_it_is_evaluated() {
     let image = read_rgb(&dim).unwrap().map(|rgb| rgb.map(|l| 0.4 * l));
     write_rgb(&dim, &image).unwrap();
     let fitted = succeed(&fit(&capture.path(), &out, &["--backend", "cpu", "--json", "--solve-exposure", "--sharpen"]));
-    fitted.complains(&["--sharpen: too few surfaces"]);
+    fitted.complains(&["--sharpen: too few textured surfaces"]);
     let stored = json(&std::fs::read_to_string(out.join("corrections.json")).unwrap());
     let scale = |view: &str| stored[view]["scale"][0].as_f64().unwrap();
     assert!((scale("b") / scale("a") - 2.5).abs() < 0.2, "{stored}");
@@ -358,7 +358,7 @@ fn assert_log_and_settings(out: &Path) {
     assert_eq!(stages, ["I", "I", "II", "II", "III", "III"]);
     let settings: toml::Table = std::fs::read_to_string(out.join("settings.toml")).unwrap().parse().unwrap();
     assert_eq!(settings["fit"]["atlas_size"].as_integer(), Some(ATLAS as i64));
-    assert_eq!(settings["fit"]["optimiser"]["epochs"].as_integer(), Some(2));
+    assert_eq!(settings["fit"]["paper"]["optimiser"]["epochs"].as_integer(), Some(2));
 }
 
 /// One page that loads nothing.
