@@ -40,8 +40,8 @@ impl BakedTexels {
         texels.rows(&self.irradiance, (buried == Buried::Fill).then_some(&self.outside), rows, PADDING)
     }
 
-    /// Some rows of the map of [`Baked::standard_error`], 0 outside the charts and where [`Quality::error`] did not ask
-    /// for it.
+    /// Some rows of the map of [`Baked::standard_error`], 0 outside the charts and where
+    /// [`Quality::error`](super::Quality::error) did not ask for it.
     pub fn error_rows(&self, texels: &Texels<'_>, rows: Range<usize>) -> Result<Vec<f32>> {
         self.check(texels, &rows)?;
         match &self.standard_error {

@@ -22,7 +22,7 @@ pub(super) struct Prepared {
     pub training: Vec<View>,
     /// The training views as the fit of materials reads them: reduced where need be.
     pub views: Vec<View>,
-    /// What all of its light was multiplied with: see [`unit`](fn@unit).
+    /// What all of its light was multiplied with: see [`radiance_scale`].
     pub scale: f32,
 }
 

@@ -48,7 +48,7 @@ pub struct Observations {
     pub cosine: Vec<f32>,
     /// n·v, the least of what the pixel shows.
     pub min_cosine: Vec<f32>,
-    /// Whether the pixel lies at the rim of what is left out ([`rims`]).
+    /// Whether the pixel lies near an excluded one ([`exclusion`]).
     pub near_excluded: Vec<bool>,
     /// Area of the surface that the pixel shows, square metres; at n·v below 0.05 as at 0.05.
     pub area: Vec<f32>,

@@ -29,7 +29,8 @@ pub struct Evidence {
     pub weight: Vec<f32>,
     /// Per segment and node: slope b of its grazing term b (1−nv)⁵.
     pub slope: Vec<[f32; NODES]>,
-    /// Per segment and node: how much the albedo varies that goes with it ([`AlbedoProblem::variation`]).
+    /// Per segment and node: how much the albedo varies that goes with it
+    /// ([`AlbedoProblem::variation`](crate::fit::full::albedo::AlbedoProblem::variation)).
     pub variation: Vec<[f64; NODES]>,
 }
 
