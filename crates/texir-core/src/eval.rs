@@ -195,23 +195,23 @@ pub fn evaluate(
     let truth = capture.truth.as_ref().filter(|_| difference.is_none()).map(true_textures).transpose()?;
     let rays: u64 = capture.views.iter().map(|v| renderer.rays(&v.camera)).sum();
     let task = Task::start(progress, "evaluating", rays, "rays");
-    let unit = shown_in(renderer.radiance_scale());
+    let factor = shown_in(renderer.radiance_scale());
     let mut result = Subject::new(renderer, capture, textures, progress)?;
     let mut true_materials =
         truth.as_ref().map(|truth| Subject::new(renderer, capture, truth, progress)).transpose()?;
     for view in &capture.views {
-        let observed = Observed::load(view, unit, progress)?;
+        let observed = Observed::load(view, factor, progress)?;
         let mut rendered = match &mut true_materials {
             Some(true_materials) => {
                 let each = [&result.textures, &true_materials.textures];
                 let [rendered, mut best] = renderer.render_each(&view.camera, each, progress)?;
-                scale(&mut best, unit);
+                scale(&mut best, factor);
                 true_materials.evaluate(renderer, view, &observed, best)?;
                 rendered
             }
             None => renderer.render(&view.camera, &result.textures, progress)?,
         };
-        scale(&mut rendered, unit);
+        scale(&mut rendered, factor);
         let shown = result.evaluate(renderer, view, &observed, rendered)?;
         show(&Evaluated {
             view,
@@ -244,10 +244,10 @@ pub fn evaluate(
     })
 }
 
-/// What radiance is multiplied with before it is encoded for display, where `unit` would bring it to about 1: nothing
+/// What radiance is multiplied with before it is encoded for display, where `factor` would bring it to about 1: nothing
 /// is, unless images would be white or black throughout.
-fn shown_in(unit: f32) -> f32 {
-    if (1.0 / 16.0..=64.0).contains(&unit) { 1.0 } else { unit }
+fn shown_in(factor: f32) -> f32 {
+    if (1.0 / 16.0..=64.0).contains(&factor) { 1.0 } else { factor }
 }
 
 /// What the capture says about a view.
@@ -259,10 +259,10 @@ struct Observed {
 }
 
 impl Observed {
-    /// With the image times `unit`.
-    fn load(view: &View, unit: f32, progress: &dyn Progress) -> Result<Self> {
+    /// With the image times `factor`.
+    fn load(view: &View, factor: f32, progress: &dyn Progress) -> Result<Self> {
         let mut image = view.load_image(progress)?;
-        scale(&mut image, unit);
+        scale(&mut image, factor);
         Ok(Self { image, albedo: view.load_albedo()?, roughness: view.load_roughness()?, mask: view.load_mask()? })
     }
 }

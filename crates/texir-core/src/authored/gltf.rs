@@ -120,7 +120,7 @@ pub struct Model {
 pub fn read_gltf(
     path: impl AsRef<Path>,
     size: usize,
-    reflected: BounceAlbedo,
+    bounce_albedo: BounceAlbedo,
     progress: &dyn Progress,
 ) -> Result<Model> {
     let path = path.as_ref();
@@ -156,7 +156,7 @@ pub fn read_gltf(
         return Err(Error::file(path, "has no triangles with an area; expected a scene"));
     }
     let mut images = Images::default();
-    let shading = shading(path, &document, reflected, |image, curve| images.place(path, image, &buffers, curve))?;
+    let shading = shading(path, &document, bounce_albedo, |image, curve| images.place(path, image, &buffers, curve))?;
     // All come along into the baked scene: what cannot is to be known before the bake.
     materials(path, document.as_json().materials.clone(), false)?;
     let files: Vec<u64> = document
@@ -368,7 +368,7 @@ impl Part {
 fn shading(
     path: &Path,
     document: &Document,
-    reflected: BounceAlbedo,
+    bounce_albedo: BounceAlbedo,
     mut place: impl FnMut(&gltf::Image, TransferCurve) -> Result<usize>,
 ) -> Result<Vec<Shading>> {
     let mut colour = |factor: Vec3, info: Option<gltf::texture::Info>, curve: TransferCurve| {
@@ -397,7 +397,7 @@ fn shading(
             name,
             albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
             emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
-            metallic_roughness: match reflected {
+            metallic_roughness: match bounce_albedo {
                 BounceAlbedo::DiffuseAndSpecular => {
                     Some(colour(metallic_roughness, base.metallic_roughness_texture(), TransferCurve::Linear)?)
                 }

@@ -28,9 +28,9 @@ pub(super) fn subsamples(rays: u32, lights: usize) -> u32 {
     1 << most.clamp(1, MAX_SUBSAMPLES).ilog2()
 }
 
-/// E, cosine included, not divided by π, per texel of a `[width, height]` map: the mean over those of `places`
-/// subsamples that lie on the texel's triangle, else at its surface point. Where that is uneven, only subsamples with a
-/// free line to the surface point count: a wall that stands on the texel does not mix its two sides.
+/// E, cosine included, not divided by π, per texel of a `[width, height]` map: the mean over those of its `subsamples`
+/// places that lie on the texel's triangle, else at its surface point. Where that is uneven, only places with a free
+/// line to the surface point count: a wall that stands on the texel does not mix its two sides.
 pub(super) fn irradiance(
     backend: &mut dyn Backend,
     size: [usize; 2],

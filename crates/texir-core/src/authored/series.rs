@@ -61,9 +61,9 @@ impl Series {
         Remainder { total: self.total(), worst_region: self.worst_region() }
     }
 
-    /// Light that goes back and forth between dark and bright surfaces falls by much and by little in turn: with the
-    /// last two ratios *b* and *a* in turn, ρ = b, further members add b + b a + b a b + … = b (1 + a)/(1 − a b) of the
-    /// last.
+    /// Light that goes back and forth between dark and bright surfaces falls by much and by little in turn. With
+    /// *b* and *a* the last two ratios, the next being *b* again, further members add b + b a + b a b + … =
+    /// b (1 + a)/(1 − a b) of the last.
     fn total(&self) -> f64 {
         let sum: f64 = self.means.iter().sum();
         let (b, a, last) = match self.means[..] {

@@ -13,11 +13,11 @@ use crate::surface::SurfacePoint;
 
 /// What blocks hold around their texels, as a multiple of how far neighbours reach: coordinates are rounded.
 const SLACK: f32 = 1.06;
-/// Texels of one kind differ in their edges by this factor: sixteen times as many lie around a small one as around a
-/// large one, at most.
+/// Texels of one size class differ in their edges by this factor: sixteen times as many lie around a small one as
+/// around a large one, at most.
 const SPREAD: f32 = 4.0;
-/// Kinds of texels at most: the last has all that are smaller.
-const KINDS: u32 = 8;
+/// Size classes at most: the last has all that are smaller.
+const SIZE_CLASSES: u32 = 8;
 
 /// Texels, and the blocks of space that they are in.
 pub(super) struct SpatialBlocks<'a> {
@@ -64,25 +64,25 @@ impl<'a> SpatialBlocks<'a> {
     }
 
     /// The texels with these points by their size. Those that are larger than the typical one, or have up to a quarter
-    /// of its edge, are of one kind; beyond that, there is one for every factor of four.
+    /// of its edge, are of one class; beyond that, there is one for every factor of four.
     pub fn size_classes(&self, points: &[SurfacePoint]) -> Vec<SizeClass> {
-        let kind = |point: &SurfacePoint| {
+        let class = |point: &SurfacePoint| {
             let edge = texel_area(self.mesh, self.texels.size(), point.triangle).sqrt();
-            // Texels without a size are beside nothing, in whichever kind.
-            if edge > 0.0 { (self.texel / edge).log(SPREAD).clamp(0.0, (KINDS - 1) as f32) as u32 } else { 0 }
+            // Texels without a size are beside nothing, in whichever class.
+            if edge > 0.0 { (self.texel / edge).log(SPREAD).clamp(0.0, (SIZE_CLASSES - 1) as f32) as u32 } else { 0 }
         };
-        let kinds: Vec<u32> = points.iter().map(kind).collect();
-        let typical = |kind: u32| match kind {
+        let classes: Vec<u32> = points.iter().map(class).collect();
+        let typical = |class: u32| match class {
             0 => self.texel,
             // In the middle of the edges that are its.
-            _ => self.texel / SPREAD.powi(kind as i32) / SPREAD.sqrt(),
+            _ => self.texel / SPREAD.powi(class as i32) / SPREAD.sqrt(),
         };
-        let alike = |kind: u32| {
-            let among: Vec<usize> = (0..points.len()).filter(|&i| kinds[i] == kind).collect();
+        let of_class = |class: u32| {
+            let among: Vec<usize> = (0..points.len()).filter(|&i| classes[i] == class).collect();
             let all = among.len() == points.len();
-            (!among.is_empty()).then(|| SizeClass { texel: typical(kind), among: (!all).then_some(among) })
+            (!among.is_empty()).then(|| SizeClass { texel: typical(class), among: (!all).then_some(among) })
         };
-        (0..KINDS).filter_map(alike).collect()
+        (0..SIZE_CLASSES).filter_map(of_class).collect()
     }
 
     /// Goes through the blocks: their numbers, and their texels with the points of these.

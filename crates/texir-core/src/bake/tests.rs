@@ -300,7 +300,7 @@ fn a_small_thing_of_many_texels_has_neighbours_of_its_own_size() {
     let surface = SpatialBlocks::new(&texels, scene.mesh(), 1.0).unwrap();
     let points = texels.pieces().map(|items| texels.points.get(&items).unwrap().into_owned()).collect::<Vec<_>>();
     let points = points.concat();
-    let [floor, square] = &surface.size_classes(&points)[..] else { panic!("two kinds are expected") };
+    let [floor, square] = &surface.size_classes(&points)[..] else { panic!("two size classes are expected") };
     let height = |class: &spatial_blocks::SizeClass| {
         class.gather(&points).iter().map(|point| point.position[2]).collect::<Vec<_>>()
     };

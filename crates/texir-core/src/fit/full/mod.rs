@@ -1,8 +1,8 @@
 //! The fit in full mode: light samples drawn beforehand, albedo by robust least squares, roughness by a scan per
 //! segment.
 //!
-//! labels → observations → segments → scan (→ metals) → hierarchy → lines → colours, finishes → joints → albedo → what
-//! is hidden. No ray is traced after the observations. A first, coarse round tells what light surfaces send, of which
+//! labels → observations → segments → scan (→ metals) → hierarchy → colours, finishes → joints → albedo → unseen
+//! texels. No ray is traced after the observations. A first, coarse round gives the light that surfaces send, of which
 //! irradiance and observations are made again.
 
 mod albedo;
@@ -58,7 +58,7 @@ pub fn fit(
     let labels = Labels::vote(backend, (atlas, adjacency), training, progress)?;
     if !labels.has_classes() {
         let what = match training.iter().any(|view| view.semantic.is_some()) {
-            true => "semantic images label no pixel that masks leave",
+            true => "semantic images label no unmasked pixel",
             false => "no view has semantic classes",
         };
         progress.warn(&format!(
@@ -79,7 +79,7 @@ pub fn fit(
                 .into_iter()
                 .for_each(|what| progress.warn(&what));
         }
-        // Only the last round removes specks: without them, roughness came out worse in the next.
+        // Earlier rounds keep their specks: without them, the next round's roughness came out worse.
         let is_last = round + 1 == rounds.len();
         let guide = if is_last { EdgeGuide::Median } else { EdgeGuide::Albedo };
         let materials = recover(context, &irradiance, (&labels, &seen), settings, guide, progress)?;

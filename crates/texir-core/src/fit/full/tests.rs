@@ -344,9 +344,10 @@ fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
         // Every view sees each of the floor's texels once.
         let half: Vec<u8> = (0..pixels).map(|p| (p / (2 * FLOOR * FLOOR) % 2) as u8).collect();
         let texel = 2.0 / FLOOR as f32;
-        let judges = JointPixels { segment: &vec![0; pixels], weight: &vec![1.0; pixels], half: &half };
+        let pixels_of_joints = JointPixels { segment: &vec![0; pixels], weight: &vec![1.0; pixels], half: &half };
         let lines = Lines::find(&problem, &albedo, texel, &roughness.joints, &Silent).unwrap();
-        let joints = joints::find(&problem, judges, (&albedo, &surface), &lines, &roughness, &Silent).unwrap();
+        let joints =
+            joints::find(&problem, pixels_of_joints, (&albedo, &surface), &lines, &roughness, &Silent).unwrap();
         (0..surface.len()).map(|t| joints.at(t).map(|(joint, share)| joint.on(surface[t], share))).collect::<Vec<_>>()
     };
     let on = |joints: &[Option<f32>]| -> Vec<f32> { joints.iter().flatten().copied().collect() };
@@ -399,7 +400,7 @@ fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_i
     };
     let own = crate::specular_table::node(8);
     assert!((settled(0.0, 0.0)[0] - own).abs() < 1e-3 && settled(0.0, 0.0)[1] == 0.6);
-    assert!(settled(100.0, 0.0)[0] > 0.75, "a strong pull wins");
+    assert!(settled(100.0, 0.0)[0] > 0.75, "a strong prior wins");
     assert!(settled(0.0, 500.0)[0] > 0.75, "one pixel beside 500 is not believed");
     // Of several parents, those that count as pixels speak where there are none.
     let mean = |parents: [Prior; 3]| shrink(&groups, &[parents; 2])[1];

@@ -63,11 +63,12 @@ fn mixed(surface: f32, joint: f32, share: f32) -> f32 {
 /// Per-pixel inputs of the joint scan.
 #[derive(Clone, Copy)]
 pub struct JointPixels<'a> {
-    /// Segment.
+    /// Segment of each pixel.
     pub segment: &'a [u32],
-    /// Weight, as in [`Evidence`](crate::fit::full::roughness::evidence::Evidence);
+    /// Weight of each, as in [`Evidence`](crate::fit::full::roughness::evidence::Evidence).
     pub weight: &'a [f32],
-    /// Half of the views ([`Evidence::halves`](crate::fit::full::roughness::evidence::Evidence::halves)).
+    /// Half of the views, 0 or 1, that each belongs to
+    /// ([`Evidence::halves`](crate::fit::full::roughness::evidence::Evidence::halves)).
     pub half: &'a [u8],
 }
 

@@ -70,7 +70,7 @@ impl ReflectionPatch {
 pub fn filter(
     curves: &[Curve],
     blocks: &Blocks,
-    mirrors: &[ReflectionPatch],
+    reflections: &[ReflectionPatch],
     angle: f32,
     width: f32,
 ) -> Vec<PackedCurve> {
@@ -85,10 +85,10 @@ pub fn filter(
     let mean = |block: usize| {
         let mut sums = radiance[block].map(|[r, g, b]| [r, g, b, 1.0]);
         for other in blocks.around(block, reach).filter(|&other| other != block) {
-            if !mirrors[block].patch.like(&mirrors[other].patch) {
+            if !reflections[block].patch.like(&reflections[other].patch) {
                 continue;
             }
-            let turn = mirrors[block].turn(&mirrors[other]);
+            let turn = reflections[block].turn(&reflections[other]);
             // From rough to smooth kernels get narrower, below those that are all of the widest.
             let (mut of, mut weight) = (0.0, 0.0);
             for k in (0..NODES).rev() {
@@ -128,7 +128,7 @@ mod tests {
 
     /// A wall two metres before the camera, of blocks of one pixel.
     fn wall(class: impl Fn(usize) -> u16, distance: f32) -> (Blocks, Vec<ReflectionPatch>) {
-        let mirrors: Vec<ReflectionPatch> = (0..WIDTH * WIDTH)
+        let reflections: Vec<ReflectionPatch> = (0..WIDTH * WIDTH)
             .map(|p| {
                 let [x, z] = [p % WIDTH, p / WIDTH].map(|i| (i as f32 - 15.5) * ANGLE);
                 let direction = Vec3::new(x, 1.0, z);
@@ -136,9 +136,9 @@ mod tests {
                 ReflectionPatch { patch, direction: direction.normalize(), distance }
             })
             .collect();
-        let patches: Vec<Patch> = mirrors.iter().map(|m| m.patch).collect();
+        let patches: Vec<Patch> = reflections.iter().map(|m| m.patch).collect();
         let squares = Squares::new(&photo(), photo().pixel_angle());
-        (group_pixels(&(0..WIDTH * WIDTH).collect::<Vec<_>>(), &patches, squares), mirrors)
+        (group_pixels(&(0..WIDTH * WIDTH).collect::<Vec<_>>(), &patches, squares), reflections)
     }
 
     fn packed(curves: &[Curve]) -> Vec<PackedCurve> {
@@ -159,21 +159,21 @@ mod tests {
 
     #[test]
     fn rough_lobes_lose_their_noise_and_mirrors_keep_their_picture() {
-        let (blocks, mirrors) = wall(|_| 1, 100.0);
+        let (blocks, reflections) = wall(|_| 1, 100.0);
         let curves = noisy();
-        let filtered = filter(&curves, &blocks, &mirrors, ANGLE, 0.3);
+        let filtered = filter(&curves, &blocks, &reflections, ANGLE, 0.3);
         let alone = packed(&curves);
         assert!(error(&filtered, NODES - 1) < 0.3 * error(&alone, NODES - 1), "{}", error(&filtered, NODES - 1));
         assert!(filtered.iter().zip(&alone).all(|(a, b)| a.at_node(0) == b.at_node(0)));
-        assert_eq!(filter(&curves, &blocks, &mirrors, ANGLE, 0.0), alone);
+        assert_eq!(filter(&curves, &blocks, &reflections, ANGLE, 0.0), alone);
     }
 
     #[test]
     fn what_is_near_is_not_smeared() {
         let curves = noisy();
         let left = |distance: f32| {
-            let (blocks, mirrors) = wall(|_| 1, distance);
-            error(&filter(&curves, &blocks, &mirrors, ANGLE, 0.3), NODES / 2)
+            let (blocks, reflections) = wall(|_| 1, distance);
+            error(&filter(&curves, &blocks, &reflections, ANGLE, 0.3), NODES / 2)
         };
         let alone = error(&packed(&curves), 0);
         assert!(left(0.02) > 0.99 * alone, "{}", left(0.02));
@@ -182,9 +182,9 @@ mod tests {
 
     #[test]
     fn other_classes_lend_nothing() {
-        let (blocks, mirrors) = wall(|p| (p % WIDTH < WIDTH / 2).into(), 100.0);
+        let (blocks, reflections) = wall(|p| (p % WIDTH < WIDTH / 2).into(), 100.0);
         let step: Vec<Curve> =
             (0..WIDTH * WIDTH).map(|p| Curve::new([[f32::from(u8::from(p % WIDTH < WIDTH / 2)); 3]; NODES])).collect();
-        assert_eq!(filter(&step, &blocks, &mirrors, ANGLE, 0.3), packed(&step));
+        assert_eq!(filter(&step, &blocks, &reflections, ANGLE, 0.3), packed(&step));
     }
 }

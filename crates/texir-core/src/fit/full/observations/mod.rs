@@ -257,7 +257,7 @@ struct LightSamples<'a> {
     strata: &'a Strata,
     blocks: &'a Blocks,
     /// What each block reflects.
-    mirrors: Vec<ReflectionPatch>,
+    reflections: Vec<ReflectionPatch>,
 }
 
 impl<'a> LightSamples<'a> {
@@ -267,11 +267,11 @@ impl<'a> LightSamples<'a> {
         strata: &'a Strata,
         blocks: &'a Blocks,
     ) -> Self {
-        let mirror = |(patch, corners): (&Patch, &[usize; STRATA])| {
+        let reflection = |(patch, corners): (&Patch, &[usize; STRATA])| {
             ReflectionPatch::new(&strata.scene, *patch, &strata.points(corners[0])[0])
         };
-        let mirrors = blocks.patches.par_iter().zip(&blocks.corners).map(mirror).collect();
-        Self { observer, view, number, strata, blocks, mirrors }
+        let reflections = blocks.patches.par_iter().zip(&blocks.corners).map(reflection).collect();
+        Self { observer, view, number, strata, blocks, reflections }
     }
 
     /// Specular radiance at `f0` of every block, each with what its neighbours know; kept as `step`.
@@ -294,7 +294,7 @@ impl<'a> LightSamples<'a> {
         })?;
         progress.advance(skipped as u64 * u64::from(sampling.rays()));
         let angle = settings.squares(&view.camera).edge as f32 * view.camera.pixel_angle();
-        Ok(curve_filter::filter(&curves, blocks, &self.mirrors, angle, settings.curve_filter_width))
+        Ok(curve_filter::filter(&curves, blocks, &self.reflections, angle, settings.curve_filter_width))
     }
 }
 

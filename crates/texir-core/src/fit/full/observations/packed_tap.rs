@@ -73,8 +73,8 @@ pub fn of_strata(shares: &[PackedTap], value: impl Fn(u32) -> f32) -> [f32; STRA
 fn units(weights: &[f32], all: u16) -> Vec<u16> {
     let mut units: Vec<u16> = weights.iter().map(|weight| (weight * f32::from(all)).round() as u16).collect();
     let off = i32::from(all) - units.iter().map(|units| i32::from(*units)).sum::<i32>();
-    if let Some(dominant_texel) = units.iter_mut().max() {
-        *dominant_texel = (i32::from(*dominant_texel) + off) as u16;
+    if let Some(heaviest) = units.iter_mut().max() {
+        *heaviest = (i32::from(*heaviest) + off) as u16;
     }
     units
 }

@@ -89,9 +89,9 @@ mod tests {
             slope: vec![[0.0; NODES]; SEGMENTS as usize],
             variation: vec![],
         };
-        let dominant_texel: Vec<u32> = pixels().map(|(s, column)| counts(s, s * COLUMNS as u32 + column)).collect();
+        let dominant: Vec<u32> = pixels().map(|(s, column)| counts(s, s * COLUMNS as u32 + column)).collect();
         let grid = BlockGrid { width: COLUMNS, texels: &texels, segment: &segment, face: &segment, block: 4.0 };
-        let blocks = grid.blocks(&evidence, &dominant_texel, &vec![0; dominant_texel.len()]);
+        let blocks = grid.blocks(&evidence, &dominant, &vec![0; dominant.len()]);
         confidence(&grid, &blocks, &evidence.by_segment(), &vec![roughness; texels.len()])
     }
 

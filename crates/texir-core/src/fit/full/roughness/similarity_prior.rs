@@ -144,7 +144,7 @@ mod tests {
         assert!((twin.roughness - 0.2).abs() < 1e-6 && twin.pseudo_count > 0.9 * settings.segment_pixels, "{twin:?}");
         let stranger = expected(&[known(CURTAIN, 0, CLOTH, 0.85)], second, &settings);
         assert!(stranger.roughness > 0.8 && stranger.pseudo_count < 0.02 * settings.segment_pixels, "{stranger:?}");
-        // Whoever is believed less says less.
+        // Less trust, less weight.
         let faint = SegmentSummary { trust: 0.01, ..second };
         let third = expected(&[first, faint], unknown(TABLE, 0, Some(WOOD)), &settings).roughness;
         assert!((third - 0.2).abs() < 0.01, "{third}");

@@ -71,10 +71,10 @@ impl Labels {
         for view in views.iter().filter(has_labels) {
             progress.check()?;
             let (classes, rooms) = (view.load_semantic()?, view.load_room()?);
-            let witnesses = texel_votes(backend, atlas, view, view.load_mask()?.as_ref())?;
-            class.add(&witnesses, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
+            let votes = texel_votes(backend, atlas, view, view.load_mask()?.as_ref())?;
+            class.add(&votes, |pixel| classes.as_ref().map_or(0, |ids| ids.data[pixel]));
             let of_view = view.room_id.unwrap_or(0);
-            room.add(&witnesses, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
+            room.add(&votes, |pixel| rooms.as_ref().map_or(of_view, |ids| ids.data[pixel]));
             progress.advance(1);
         }
         let agreed = class.agreement();
@@ -109,7 +109,7 @@ pub struct Vote {
     pub weight: f32,
 }
 
-/// The witness of every texel in a view, where the view sees it and `mask` does not exclude the pixel. Rays are only
+/// The votes for every texel in a view, where the view sees it and `mask` does not exclude the pixel. Rays are only
 /// traced from texels whose pixel shows their surface: the others are not seen there anyway.
 pub fn texel_votes(
     backend: &mut dyn Backend,
@@ -129,14 +129,14 @@ pub fn texel_votes(
     };
     let candidates: Vec<(usize, usize)> = atlas.points.par_iter().enumerate().filter_map(candidate).collect();
     let points: Vec<SurfacePoint> = candidates.iter().map(|(texel, _)| atlas.points[*texel]).collect();
-    let mut witnesses: Vec<Option<Vote>> = atlas.points.iter().map(|_| None).collect();
+    let mut votes: Vec<Option<Vote>> = atlas.points.iter().map(|_| None).collect();
     for ((texel, pixel), at) in candidates.into_iter().zip(backend.project(&points, camera)?) {
         if at.distance > 0.0 && at.cosine >= MIN_COSINE {
             let resolution = pixels_per_steradian(camera) * at.cosine / (at.distance * at.distance);
-            witnesses[texel] = Some(Vote { pixel, weight: resolution.powf(SHARPNESS) });
+            votes[texel] = Some(Vote { pixel, weight: resolution.powf(SHARPNESS) });
         }
     }
-    Ok(witnesses)
+    Ok(votes)
 }
 
 /// The votes of all views; empty while nobody voted.
@@ -177,10 +177,10 @@ impl Ballot {
 
 impl Votes {
     /// A view's votes: `label` by pixel, of which 0 is none.
-    pub fn add(&mut self, witnesses: &[Option<Vote>], label: impl Fn(usize) -> u16 + Sync) {
-        self.0.resize(witnesses.len(), Ballot::default());
-        self.0.par_iter_mut().zip(witnesses).for_each(|(ballot, witness)| {
-            if let Some(Vote { pixel, weight }) = witness
+    pub fn add(&mut self, votes: &[Option<Vote>], label: impl Fn(usize) -> u16 + Sync) {
+        self.0.resize(votes.len(), Ballot::default());
+        self.0.par_iter_mut().zip(votes).for_each(|(ballot, vote)| {
+            if let Some(Vote { pixel, weight }) = vote
                 && label(*pixel) != 0
             {
                 ballot.add(label(*pixel), *weight);
@@ -418,9 +418,9 @@ mod tests {
                 };
                 let labels = Labels::new(width, height, hits.iter().enumerate().map(shows).collect()).unwrap();
                 let labels = wrong(&labels, i);
-                let witnesses = texel_votes(&mut backend, &atlas, view, None).unwrap();
-                seen.iter_mut().zip(&witnesses).for_each(|(seen, witness)| *seen |= witness.is_some());
-                votes.add(&witnesses, |pixel| labels.data[pixel]);
+                let of_view = texel_votes(&mut backend, &atlas, view, None).unwrap();
+                seen.iter_mut().zip(&of_view).for_each(|(seen, vote)| *seen |= vote.is_some());
+                votes.add(&of_view, |pixel| labels.data[pixel]);
             }
             votes.blur(scene.mesh(), &atlas, &adjacency);
             let fused = spread(votes.count(&unseen::flat_surfaces(&atlas, &adjacency)), &adjacency, |_| 0);
