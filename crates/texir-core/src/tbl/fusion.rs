@@ -9,16 +9,14 @@ use super::connectivity::Connectivity;
 use super::photo::Photo;
 use super::receivers::{self, Known};
 use super::sample::Sampler;
-use super::{TblOptions, sources, unseen};
-use crate::atlas::Atlas;
+use super::{Fusion, sources, unseen};
 use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::capture::{Coverage, Tbl};
 use crate::error::Result;
 use crate::inpaint;
-use crate::progress::{Progress, Task};
+use crate::progress::Task;
 use crate::raster::mean_of_channels;
-use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
 /// Pixels' worth of a triangle that must be shown dark for it to be known as no source: of the back of a lampshade,
@@ -38,16 +36,6 @@ struct Separated {
     dark_texels: Vec<usize>,
     /// Pixels' worth that views show of every texel, of those around sources.
     shown: Vec<f32>,
-}
-
-/// What the views are fused into, and how.
-pub(super) struct Fusion<'a> {
-    /// The backend's.
-    pub scene: &'a Scene,
-    pub atlas: &'a Atlas,
-    pub cameras: &'a [Camera],
-    pub options: &'a TblOptions,
-    pub progress: &'a dyn Progress,
 }
 
 impl Fusion<'_> {

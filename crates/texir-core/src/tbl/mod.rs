@@ -30,7 +30,7 @@ use crate::capture::{Coverage, Tbl, View};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::radiance_scale::{normalised_views, scale};
-use fusion::Fusion;
+use crate::scene::Scene;
 use photo::Photo;
 
 /// Side of the atlas, texels, when nobody says: [`DEFAULT_SIDE`], or twice that where views have more pixels than such
@@ -156,6 +156,16 @@ pub fn resolve_sources(
     let seen = |&t: &u32| (tbl.coverage.data[t as usize] == Coverage::Seen).then(|| tbl.radiance.data[t as usize]);
     let radiance = atlas.texels.iter().map(seen).collect();
     fusion.complete(backend, &mut |i| photo(&views[i], progress), radiance, Some(tbl))
+}
+
+/// What the views are fused into, and how.
+struct Fusion<'a> {
+    /// The backend's.
+    scene: &'a Scene,
+    atlas: &'a Atlas,
+    cameras: &'a [Camera],
+    options: &'a TblOptions,
+    progress: &'a dyn Progress,
 }
 
 #[cfg(test)]

@@ -10,8 +10,8 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::Fusion;
 use super::connectivity::Connectivity;
-use super::fusion::Fusion;
 use crate::backend::{Backend, Gather};
 use crate::error::Result;
 use crate::lights::Lights;

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::fusion::Fusion;
+use super::Fusion;
 use super::photo::Photo;
 use super::shown::pixels_per_steradian;
 use crate::atlas::TexelIndex;

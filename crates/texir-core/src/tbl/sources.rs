@@ -16,8 +16,8 @@ use std::collections::{HashMap, HashSet};
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::Fusion;
 use super::connectivity::Connectivity;
-use super::fusion::Fusion;
 use super::photo::Photo;
 use super::source_pixels::SourcePixels;
 use crate::backend::Backend;

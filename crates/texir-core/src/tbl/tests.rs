@@ -15,7 +15,6 @@ use crate::inpaint;
 use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::raster::{Mask, Rgb, mean_of_channels, mean_pixel};
-use crate::scene::Scene;
 use crate::surface::SurfacePoint;
 
 const SIZE: [usize; 2] = [384, 256];
