@@ -13,7 +13,7 @@ use texir_core::bake::{Baked, Denoiser, PADDING, Quality, Texels};
 use texir_core::brdf::Masking;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
-use texir_core::cpu::irradiance::cosine_direction;
+use texir_core::cpu::sampling::{Frame, cosine_direction};
 use texir_core::environment::Environment;
 use texir_core::mesh_io::atlas_report;
 use texir_core::progress::Silent;
@@ -208,9 +208,7 @@ impl Twin<'_> {
                 let direct = self.direct(&at, &mut random);
                 (0..3).for_each(|c| sum[c] += weight[c] * direct[c]);
                 let n = V3::<f64>::of(at.normal);
-                let (tangent, bitangent) = texir_core::brdf::basis(n);
-                let V3([x, y, z]) = cosine_direction::<f64>([random() as f32, random() as f32]);
-                let direction = tangent * x + bitangent * y + n * z;
+                let direction = Frame::of(n).to_world(cosine_direction([random() as f32, random() as f32]));
                 let Some(hit) = self.exact.closest(V3::of(at.position), direction) else { break };
                 let towards = -Vec3::from(direction.to_f32());
                 let found = texir_core::surface::Hit {

@@ -163,16 +163,6 @@ pub fn d_ln_schlick<R: Real>(nl: R, nv: R, r: R) -> R {
     -(r + one) * R::of(0.25) * ((one - nl) * g_schlick(nl, r) + (one - nv) * g_schlick(nv, r))
 }
 
-/// An orthonormal basis around a unit normal (Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 2017).
-pub fn basis<R: Real>(n: V3<R>) -> (V3<R>, V3<R>) {
-    let [x, y, z] = n.0;
-    let one = R::of(1.0);
-    let sign = if z < R::of(0.0) { -one } else { one };
-    let a = -one / (sign + z);
-    let b = x * y * a;
-    (V3([one + sign * x * x * a, sign * b, -sign * x]), V3([b, sign + y * y * a, -y]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

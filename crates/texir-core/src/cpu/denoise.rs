@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use self::around::Pass;
 use super::lanes::Lanes;
-use crate::brdf::basis;
+use super::sampling::Frame;
 use crate::cholesky;
 use crate::denoise::{
     CELL, CURVATURE, GUIDE_RADIUS, LOSS_SIGMAS, NOISE_RADIUS, Noisy, RESIDUAL_RADIUS, RESIDUAL_THRESHOLD, RIDGE,
@@ -170,7 +170,7 @@ impl<R: Real> Pass<R, 12> for Regress<'_, R> {
 
     #[inline(always)]
     fn start(&self, i: usize) -> FitSums<R> {
-        let (tangent, bitangent) = basis(V3::of(self.noisy.points[i].normal));
+        let Frame { tangent, bitangent, .. } = Frame::of(V3::of(self.noisy.points[i].normal));
         let ([a, b], noise) = (self.smoothed[i].halves, self.noise[i].smoothed);
         FitSums {
             tangent: splat(tangent),

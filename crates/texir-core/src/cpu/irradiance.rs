@@ -4,22 +4,15 @@ use std::f64::consts::FRAC_1_PI;
 
 use super::light_sampling::{light_pdf, light_point};
 use super::lighting::Lighting;
+use super::sampling::{Frame, cosine_direction};
 #[cfg(doc)]
 use crate::backend::Sequences;
 use crate::backend::{Gather, Gathered};
-use crate::brdf::basis;
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, lattice2};
 use crate::scene::trace::Trace;
 use crate::surface::SurfacePoint;
-
-/// A cosine-distributed unit direction around +Z, density cosθ/π.
-pub fn cosine_direction<R: Real>([u, v]: [f32; 2]) -> V3<R> {
-    let (u, phi) = (R::of(f64::from(u)), R::of(std::f64::consts::TAU * f64::from(v)));
-    let radius = u.sqrt();
-    V3([radius * phi.cos(), radius * phi.sin(), (R::of(1.0) - u).sqrt()])
-}
 
 /// E = Σ L cosθ / (n_c cosθ/π + n_l p_l + n_s p_s), the balance heuristic over n_c cosine samples, n_l samples of
 /// lights and n_s of the bright sky (Veach and Guibas 1995). Full irradiance: cosine and π included. Cosine sample i is
@@ -36,7 +29,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
 ) -> Gathered {
     let mesh = lighting.tracer.mesh();
     let (origin, normal) = (V3::of(point.position), V3::<R>::of(point.normal));
-    let (tangent, bitangent) = basis(normal);
+    let frame = Frame::of(normal);
     let (seed, stretch) = gather.sequences.of(gather.seed, point.index);
     let sky = lighting.environment.filter(|sky| !sky.bright().is_empty());
     let [light_samples, environment_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
@@ -46,8 +39,9 @@ pub fn irradiance<R: Real, T: Trace<R>>(
 
     let offset = [hash2(seed, 3), hash2(seed, 4)];
     for i in 0..gather.cosine {
-        let V3([x, y, z]) = cosine_direction(lattice2(stretch.wrapping_mul(gather.cosine).wrapping_add(i), offset));
-        let direction = tangent * x + bitangent * y + normal * z;
+        let drawn @ V3([.., z]) =
+            cosine_direction(lattice2(stretch.wrapping_mul(gather.cosine).wrapping_add(i), offset));
+        let direction = frame.to_world(drawn);
         let Some(hit) = lighting.tracer.closest(origin, direction) else {
             if let Some(sky) = lighting.environment {
                 let pixel = sky.pixel(direction);

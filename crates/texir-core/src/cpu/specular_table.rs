@@ -3,11 +3,12 @@
 
 use pulp::{Arch, NullaryFnOnce};
 
-use super::irradiance::cosine_direction;
 use super::light_sampling::{light_pdf, light_point};
 use super::lighting::Lighting;
+use super::lobe::sample_lobe;
+use super::sampling::{Frame, cosine_direction};
 use crate::backend::ShadePoint;
-use crate::brdf::{Masking, basis, fresnel_weight, ndf_from_sin2, sample_half_vector};
+use crate::brdf::{Masking, fresnel_weight, ndf_from_sin2};
 use crate::lights::Lights;
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
@@ -30,7 +31,8 @@ pub fn specular_table<R: Real, T: Trace<R>>(
     let widest = Arch::new();
     let nodes: [R; NODES] = std::array::from_fn(|k| R::of(f64::from(node(k))));
     for (stratum, point) in strata.iter().enumerate() {
-        let nv = V3::<R>::of(point.normal).dot(V3::of(point.view)).max(R::of(0.0)).min(R::of(1.0));
+        let (frame, view) = (Frame::of(V3::<R>::of(point.normal)), V3::of(point.view));
+        let nv = frame.normal.dot(view).max(R::of(0.0)).min(R::of(1.0));
         let seen = nodes.map(|r| sampling.masking.at(nv, r) * R::of(0.25));
         let table = lights.table(point.position.into(), point.normal.into());
         let drawn = Drawn { lighting, lights, table, point, f0, sampling, nodes: &nodes, seen: &seen, widest };
@@ -40,14 +42,12 @@ pub fn specular_table<R: Real, T: Trace<R>>(
         };
         for (technique, lobe) in LOBES.iter().enumerate() {
             for (i, seed) in sequence(technique, sampling.lobe) {
-                drawn.add(drawn.lobe_direction(*lobe, sobol2(i, seed)), None, &mut sums);
+                let lobe = R::of(f64::from(*lobe));
+                drawn.add(sample_lobe(&frame, view, lobe, sobol2(i, seed)).direction, None, &mut sums);
             }
         }
         for (i, seed) in sequence(LOBES.len(), sampling.cosine) {
-            let V3([x, y, z]) = cosine_direction(sobol2(i, seed));
-            let normal = V3::of(point.normal);
-            let (tangent, bitangent) = basis(normal);
-            drawn.add(tangent * x + bitangent * y + normal * z, None, &mut sums);
+            drawn.add(frame.to_world(cosine_direction(sobol2(i, seed))), None, &mut sums);
         }
         for (i, seed) in sequence(LOBES.len() + 1, sampling.light) {
             let (triangle, target) = light_point(lighting.tracer.mesh(), lights, table, sobol2(i, seed));
@@ -74,16 +74,6 @@ struct Drawn<'a, R, T> {
 }
 
 impl<R: Real, T: Trace<R>> Drawn<'_, R, T> {
-    /// The view reflected about a half-vector of the GGX lobe of roughness `r`.
-    fn lobe_direction(&self, r: f32, [u, v]: [f32; 2]) -> V3<R> {
-        let (normal, view) = (V3::of(self.point.normal), V3::<R>::of(self.point.view));
-        let (tangent, bitangent) = basis(normal);
-        let phi = R::of(std::f64::consts::TAU * f64::from(v));
-        let [sin, cos] = sample_half_vector(R::of(f64::from(u)), R::of(f64::from(r)));
-        let half = (tangent * phi.cos() + bitangent * phi.sin()) * sin + normal * cos;
-        half * (R::of(2.0) * view.dot(half)) - view
-    }
-
     /// Traces a direction and adds it to every node. A light sample counts only where it reaches its own triangle.
     fn add(&self, direction: V3<R>, aimed_at: Option<u32>, sums: &mut [[R; NODES]; 3]) {
         let (zero, one) = (R::of(0.0), R::of(1.0));

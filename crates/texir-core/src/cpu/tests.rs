@@ -8,6 +8,7 @@ use super::group_loss::group_loss;
 use super::lighting::Lighting;
 use super::lookup::{lookup, lookup_vjp};
 use super::radiance_loss::radiance_loss;
+use super::sampling::Frame;
 use super::shade::{MaterialIn, ShadedIn, shade};
 use super::shade_vjp::shade_vjp;
 use super::*;
@@ -99,7 +100,7 @@ fn the_authors_gradient_is_the_derivative_of_their_estimator() {
 /// L_o(r') by the samples and densities of r: the detached estimator, written out from the BRDF's value and density.
 fn detached<R: Real>(light: &Lighting<'_, BruteForce<'_>>, point: &ShadePoint, r: f64, moved: R) -> V3<R> {
     let (n, v) = (V3::<f64>::of(point.normal), V3::<f64>::of(point.view));
-    let (t, b) = brdf::basis(n);
+    let Frame { tangent: t, bitangent: b, .. } = Frame::of(n);
     let f0 = brdf::f0(material(moved).albedo, R::of(0.3));
     let mut sum = V3::zero();
     for i in 0..SAMPLING.samples {

@@ -6,9 +6,9 @@ use super::Flat;
 use super::emitters::{Choice, Emitters};
 use super::random::Sample;
 use crate::brdf::{
-    Cosines, DIELECTRIC_F0, Masking, basis, fresnel_weight, pdf, sample_half_vector, sample_weight,
-    specular_over_fresnel,
+    Cosines, DIELECTRIC_F0, Masking, fresnel_weight, pdf, sample_half_vector, sample_weight, specular_over_fresnel,
 };
+use crate::cpu::sampling::Frame;
 use crate::error::Result;
 use crate::raster::{Raster, Rgb};
 use crate::real::V3;
@@ -163,7 +163,7 @@ pub(super) fn sample_lobe(normal: Vec3, view: Vec3, roughness: f32, [u, v]: [f32
 
 /// The unit direction at polar cosine `cosine` and azimuth 2π·`turn` about `normal`.
 pub(super) fn around(normal: Vec3, cosine: f32, turn: f32) -> Vec3 {
-    let (tangent, bitangent) = basis(V3(normal.to_array()));
+    let Frame { tangent, bitangent, .. } = Frame::of(V3(normal.to_array()));
     let (sin_phi, cos_phi) = (std::f32::consts::TAU * turn).sin_cos();
     let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
     (Vec3::from(tangent.0) * cos_phi + Vec3::from(bitangent.0) * sin_phi) * sine + normal * cosine
