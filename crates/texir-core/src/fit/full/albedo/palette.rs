@@ -127,3 +127,28 @@ fn modes(cells: &[(Vec3A, f32)], settings: &PaletteSettings) -> Vec<Vec3A> {
     found.truncate(settings.colours);
     found.into_iter().map(|(mode, _)| mode).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn palettes_gather_what_is_painted_alike_and_leave_the_rest() {
+        let settings = PaletteSettings::default();
+        // Two paints, each texel off by up to 6 %, and one texel of neither.
+        let off = |t: usize| 1.0 + 0.06 * ((t * 7 % 13) as f32 / 6.0 - 1.0);
+        let (red, blue, odd) = (Vec3A::new(0.6, 0.2, 0.1), Vec3A::new(0.1, 0.2, 0.5), Vec3A::new(0.9, 0.9, 0.1));
+        let mut albedo: Vec<Vec3A> = (0..200).map(|t| if t % 3 == 0 { red } else { blue } * off(t)).collect();
+        albedo.push(odd);
+        let palettes = Palettes::find(&albedo, Partition { of: &vec![0; 201], count: 1 }, |_| true, &settings);
+        assert_eq!(palettes.starts(), [0, 2]);
+        let spread = |albedo: &dyn Fn(usize) -> Vec3A| {
+            (0..200).map(|t| (albedo(t) / if t % 3 == 0 { red } else { blue } - 1.0).abs().max_element()).sum::<f32>()
+        };
+        let drawn = |t: usize| palettes.drawn(0, albedo[t], &settings);
+        assert!(spread(&drawn) < 0.5 * spread(&|t| albedo[t]), "{} {}", spread(&drawn), spread(&|t| albedo[t]));
+        assert!((drawn(200) - odd).abs().max_element() < 0.01, "{}", drawn(200));
+        let none = PaletteSettings { strength: 0.0, ..settings };
+        assert!((palettes.drawn(0, albedo[5], &none) - albedo[5]).abs().max_element() < 1e-5);
+    }
+}

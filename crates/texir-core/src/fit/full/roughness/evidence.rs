@@ -220,3 +220,69 @@ pub fn minimum(cost: &[f32; NODES]) -> f32 {
     let best = (-STEPS..=STEPS).map(|i| i as f32 / STEPS as f32).min_by(|s, t| value(*s).total_cmp(&value(*t)));
     node(k) * (best.unwrap_or(0.0) * node_step()).exp()
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::super::prior::shrink;
+    use super::*;
+
+    /// What pixels of one segment say, each as much as any other.
+    pub fn of_one_segment(cost: Vec<[f16; NODES]>) -> Evidence {
+        let pixels = cost.len();
+        Evidence { segment: vec![0; pixels], cost, weight: vec![1.0; pixels], slope: vec![], variation: vec![] }
+    }
+
+    #[test]
+    fn colours_in_which_residuals_differ_count_by_their_weight() {
+        let (grey, tint) = (Vec3A::splat(0.1), Vec3A::new(0.1, -0.1, 0.0));
+        let squared = |e: Vec3A, weight: f32| cost(e, 0.5, weight).exp_m1();
+        assert!((squared(grey, 0.0) - 0.01).abs() < 1e-6 && (squared(grey, 2.0) - 0.01).abs() < 1e-6);
+        assert!(squared(tint, 0.0) < 1e-9 && (squared(tint, 3.0) - 0.02).abs() < 1e-6);
+        let mean_square = (grey + tint).length_squared() / 3.0;
+        assert!((squared(grey + tint, 1.0) - mean_square).abs() < 1e-6);
+    }
+
+    #[test]
+    fn halves_of_the_views_say_alike_much_of_each_segment() {
+        // Two pixels of each view; the first segment is seen by views 0 and 2 alone.
+        let views = [2, 2, 2, 2];
+        let segment = vec![0, 1, 1, 1, 0, 1, 1, NONE];
+        let cost = vec![[f16::ZERO; NODES]; 8];
+        let say = vec![1.0, 5.0, 1.0, 1.0, 1.0, 3.0, 1.0, 1.0];
+        let evidence = Evidence { segment, cost, weight: say, slope: vec![[0.0; NODES]; 2], variation: vec![] };
+        let half = evidence.halves(&views);
+        assert_ne!(half[0], half[4]);
+        // Of the second, views 0 to 3 say 5, 2, 3 and 1: 5 against 3 and 2, and 1 anywhere.
+        assert!(half[1] != half[5] && half[5] == half[2] && half[2] == half[3], "{half:?}");
+    }
+
+    #[test]
+    fn the_minimum_of_a_parabola_is_found_between_nodes() {
+        let centre = (node(9) * (0.3 * node_step()).exp()).ln();
+        let cost: [f32; NODES] = std::array::from_fn(|k| (node(k).ln() - centre).powi(2));
+        assert!((minimum(&cost).ln() - centre).abs() < 1e-3);
+        assert_eq!(minimum(&std::array::from_fn(|k| k as f32)), node(0));
+    }
+
+    #[test]
+    fn a_near_views_many_pixels_do_not_outvote_a_far_one() {
+        // 300 pixels of 1 cm² from beside, three of 100 cm² from afar: as much surface, a tenth of the weight.
+        let area: Vec<f32> = (0..303).map(|p| if p < 300 { 1e-4 } else { 1e-2 }).collect();
+        let weight = pixel_weights(&area);
+        assert!(
+            (weight.iter().sum::<f32>() / 303.0 - 1.0).abs() < 1e-5 && (weight[302] / weight[0] - 10.0).abs() < 1e-3
+        );
+        // Near ones are told hardly anything by highlights, far ones clearly; in unequal numbers.
+        let cost = |p: usize| -> [f16; NODES] {
+            let (truth, depth): (f32, f32) = if p < 300 { (0.8, 0.01) } else { (0.1, 0.3) };
+            std::array::from_fn(|k| f16::from_f32(0.01 + depth * (2.0 * (node(k) / truth).ln()).powi(2).min(1.0)))
+        };
+        let settled = |weight: Vec<f32>| {
+            let evidence = Evidence { weight, ..of_one_segment((0..303).map(cost).collect()) };
+            nearest_node(shrink(&evidence.by_group(Partition { of: &evidence.segment, count: 1 }), &[[]])[0])
+        };
+        assert!(settled(weight.clone()) < nearest_node(0.2));
+        // Negative control: every pixel alike.
+        assert!(settled(vec![1.0; 303]) > nearest_node(0.6));
+    }
+}

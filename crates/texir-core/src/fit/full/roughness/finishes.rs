@@ -283,3 +283,146 @@ impl Neighbours {
         share
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use half::f16;
+
+    use super::super::evidence::tests::of_one_segment;
+    use super::*;
+    use crate::specular_table::node;
+
+    #[test]
+    fn a_surface_has_two_finishes_where_the_views_tell_them_apart_clearly() {
+        let (width, texels) = (64u32, (0..64 * 16).collect::<Vec<u32>>());
+        let halves = |t: u32| t % width < 32;
+        // Smooth here, 0.1, and `rough` there; `depth` says how clearly the views tell, beside what nothing explains.
+        let evidence = |is_smooth: &dyn Fn(u32) -> bool, depth: f32, rough: f32| Evidence {
+            segment: vec![0; texels.len()],
+            cost: texels
+                .iter()
+                .map(|&t| {
+                    let truth: f32 = if is_smooth(t) { 0.1 } else { rough };
+                    std::array::from_fn(|k| f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
+                })
+                .collect::<Vec<[f16; NODES]>>(),
+            weight: vec![1.0; texels.len()],
+            slope: vec![],
+            variation: vec![],
+        };
+        let segment = vec![0; texels.len()];
+        // Views take turns, texel by texel.
+        let half: Vec<u8> = texels.iter().map(|t| ((t % width + t / width) % 2) as u8).collect();
+        let grid = BlockGrid { width: width as usize, texels: &texels, segment: &segment, face: &segment, block: 6.0 };
+        let by = |half: &[u8], evidence: &Evidence, settings: &FinishSettings| {
+            let blocks = grid.blocks(evidence, &texels, half);
+            refine(&grid, &BlockTallies { all: blocks.clone(), without_joints: blocks }, &[0.2], &[0.2; 1024], settings)
+        };
+        // By default a finish must have 500 pixels, about as many as each has here.
+        let settings = FinishSettings { min_pixels: 200, ..FinishSettings::default() };
+        let refined =
+            |is_smooth: &dyn Fn(u32) -> bool, depth, rough| by(&half, &evidence(is_smooth, depth, rough), &settings);
+        let clear = refined(&halves, 1.0, 0.4);
+        assert!((clear[8] - 0.1).abs() < 0.01 && (clear[56] - 0.4).abs() < 0.02, "{} {}", clear[8], clear[56]);
+        // A little more evidence changes little.
+        let by_depth: Vec<f32> =
+            (0..=40).map(|step| refined(&halves, 1e-3 * 1.2f32.powi(step), 0.4)[8]).map(f32::ln).collect();
+        assert!((by_depth[0] - 0.2f32.ln()).abs() < 1e-6 && (by_depth[40] - 0.1f32.ln()).abs() < 0.1, "{by_depth:?}");
+        assert!(by_depth.windows(2).all(|d| d[1] < d[0] + 0.01 && d[1] > d[0] - 0.4), "{by_depth:?}");
+        // Single blocks, where both halves of the views see them.
+        let scattered = |t: u32| crate::rng::hash2(t % width / 6, t / width / 6).is_multiple_of(2);
+        let by_block = refined(&scattered, 1.0, 0.4);
+        for (x, y) in [(2u32, 1u32), (4, 1), (5, 0), (7, 1)] {
+            let (t, found) = (6 * x + 3 + width * (6 * y + 3), 0.2f32);
+            let truth = if scattered(t) { 0.1 } else { 0.4 };
+            assert!(
+                (by_block[t as usize] / truth).ln().abs() < (found / truth).ln().abs() - 0.2,
+                "{x} {y}: {}",
+                by_block[t as usize]
+            );
+        }
+        // Negative controls: too little difference, none, too few pixels,
+        assert_eq!(refined(&halves, 1e-3, 0.4), [0.2; 1024]);
+        assert_eq!(refined(&halves, 1.0, 0.1), [0.2; 1024]);
+        assert_eq!(
+            by(&half, &evidence(&halves, 1.0, 0.4), &FinishSettings { min_pixels: 600, ..settings.clone() }),
+            [0.2; 1024]
+        );
+        // views that contradict each other, and one that nobody can.
+        let odd = |t: u32| (t % width + t / width).is_multiple_of(2);
+        assert_eq!(refined(&|t| halves(t) == odd(t), 1.0, 0.4), [0.2; 1024]);
+        assert_eq!(by(&[0; 1024], &evidence(&halves, 1.0, 0.4), &settings), [0.2; 1024]);
+    }
+
+    #[test]
+    fn the_blocks_of_a_face_speak_for_each_other() {
+        // Two walls of 10 blocks: one of 0.1, of which two blocks look like the other's 0.4 to both halves of the views.
+        let texels: Vec<u32> = (0..60 * 12).collect();
+        let column = |t: u32| t % 60;
+        let is_smooth = |t: u32| column(t) < 30 && !(6..12).contains(&column(t));
+        let cost = |&t: &u32| -> [f16; NODES] {
+            let truth: f32 = if is_smooth(t) { 0.1 } else { 0.4 };
+            // The two that are off, hardly.
+            let depth = if (6..12).contains(&column(t)) { 0.06 } else { 0.5 };
+            std::array::from_fn(|k| f16::from_f32(0.1 + depth * (node(k) / truth).ln().powi(2).min(1.0)))
+        };
+        let evidence = of_one_segment(texels.iter().map(cost).collect());
+        let by_face = |face: &[u32]| {
+            let half: Vec<u8> = texels.iter().map(|t| (t % 2) as u8).collect();
+            let segment = vec![0; texels.len()];
+            let grid = BlockGrid { width: 60, texels: &texels, segment: &segment, face, block: 6.0 };
+            let settings = FinishSettings { min_pixels: 200, ..FinishSettings::default() };
+            let blocks = grid.blocks(&evidence, &texels, &half);
+            refine(
+                &grid,
+                &BlockTallies { all: blocks.clone(), without_joints: blocks },
+                &[0.2],
+                &vec![0.2; texels.len()],
+                &settings,
+            )
+        };
+        let walls: Vec<u32> = texels.iter().map(|t| u32::from(column(*t) >= 30)).collect();
+        let roughness = by_face(&walls);
+        let [one, other, off] = [3, 45, 9].map(|column| roughness[3 * 60 + column]);
+        assert!((one - 0.1).abs() < 0.01 && (other - 0.4).abs() < 0.02 && off < 0.12, "{one} {other} {off}");
+        // Negative control: where both walls are one face, that says nothing, and only the blocks beside them do.
+        let alone = by_face(&vec![0; texels.len()])[3 * 60 + 9];
+        assert!(alone > 1.2 * off, "{off} {alone}");
+    }
+
+    #[test]
+    fn pixels_that_see_joints_say_where_finishes_are_but_not_what() {
+        // 0.1 on the left, 0.3 on the right; what pixels see of every third column is twice as rough, for the joint in it.
+        const WIDTH: u32 = 64;
+        let texels: Vec<u32> = (0..WIDTH * 24).collect();
+        let is_joint = |t: u32| (t % WIDTH).is_multiple_of(3);
+        let cost = |&t: &u32| -> [f16; NODES] {
+            let truth = if t % WIDTH < 32 { 0.1f32 } else { 0.3 } * if is_joint(t) { 2.0 } else { 1.0 };
+            std::array::from_fn(|k| f16::from_f32(0.1 + (node(k) / truth).ln().powi(2).min(1.0)))
+        };
+        let evidence = of_one_segment(texels.iter().map(cost).collect());
+        let refined = |counts: &dyn Fn(u32) -> bool| {
+            let half: Vec<u8> = texels.iter().map(|t| ((t % WIDTH + t / WIDTH) % 2) as u8).collect();
+            let segment = vec![0; texels.len()];
+            let dominant: Vec<u32> = texels.iter().map(|t| if counts(*t) { *t } else { NONE }).collect();
+            let grid =
+                BlockGrid { width: WIDTH as usize, texels: &texels, segment: &segment, face: &segment, block: 6.0 };
+            let without_joints = grid.blocks(&evidence, &dominant, &half);
+            let settings = FinishSettings { min_pixels: 200, ..FinishSettings::default() };
+            let roughness = refine(
+                &grid,
+                &BlockTallies { all: grid.blocks(&evidence, &texels, &half), without_joints },
+                &[0.17],
+                &vec![0.17; texels.len()],
+                &settings,
+            );
+            [8, 56].map(|column| roughness[(12 * WIDTH + column) as usize])
+        };
+        let [left, right] = refined(&|t| !is_joint(t));
+        assert!((left - 0.1).abs() < 0.01 && (right - 0.3).abs() < 0.02, "{left} {right}");
+        // Negative control: all pixels. Where those without joints are too few, all count as well.
+        let [left, right] = refined(&|_| true);
+        assert!(left > 0.11 && right > 0.33, "{left} {right}");
+        assert_eq!(refined(&|t| t % WIDTH < 2), [left, right]);
+    }
+}

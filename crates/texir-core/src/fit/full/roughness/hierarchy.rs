@@ -57,3 +57,31 @@ fn summed(tallies: &[Tally], of: impl Fn(usize) -> usize) -> Vec<Tally> {
     tallies.iter().enumerate().for_each(|(i, tally)| sums[of(i)].merge(tally));
     sums
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::specular_table::node;
+
+    #[test]
+    fn segments_without_evidence_take_what_is_nearest_to_them_in_the_hierarchy() {
+        // A segment that nothing is known of, one of its class in its room, one of its class elsewhere, and one of another
+        // class.
+        let segments =
+            Segments { segment: vec![], face: vec![], class: vec![1, 1, 1, 2], class_in_room: vec![0, 0, 1, 2] };
+        let asking = |roughness: f32| {
+            let cost = std::array::from_fn(|k| 1e4 * f64::from(1e-4 + (node(k) - roughness).powi(2)));
+            Tally { cost, pixels: 1e4, ..Tally::default() }
+        };
+        let settings = RoughnessSettings::default();
+        let found = |of: [f32; 3]| {
+            let tallies = [Tally::default(), asking(of[0]), asking(of[1]), asking(of[2])];
+            of_segments(&segments, &tallies, &[None; 4], &settings)
+        };
+        let [unknown, room, elsewhere, other] = found([0.3, 0.6, 0.7])[..] else { panic!() };
+        assert!((room - 0.3).abs() < 0.02 && (elsewhere - 0.6).abs() < 0.02 && (other - 0.7).abs() < 0.02);
+        assert!((0.29..0.42).contains(&unknown), "{unknown} in a room where its class has 0.3, and 0.6 in another");
+        // Nothing is as rough as chalk by what pixels alone say.
+        assert_eq!(found([1.0, 0.6, 0.7])[1], settings.cap);
+    }
+}

@@ -61,3 +61,39 @@ fn mean(priors: &[Prior]) -> f32 {
     };
     if all > 0.0 { sum / all } else { priors.iter().map(|p| p.roughness).sum::<f32>() / priors.len().max(1) as f32 }
 }
+
+#[cfg(test)]
+mod tests {
+    use half::f16;
+
+    use super::super::evidence::Evidence;
+    use super::*;
+    use crate::specular_table::NODES;
+
+    #[test]
+    fn a_group_without_evidence_follows_its_parent_and_one_with_little_is_drawn_to_it() {
+        let mut cost = [f16::ONE; NODES];
+        cost[8] = f16::ZERO;
+        let evidence = Evidence {
+            segment: vec![0],
+            cost: vec![cost],
+            weight: vec![1.0],
+            slope: vec![[0.0; NODES]; 2],
+            variation: vec![],
+        };
+        let groups = evidence.by_segment();
+        let settled = |pull, pixels| {
+            let parents = [0.8, 0.6].map(|roughness| [Prior { roughness, weight: pull, pseudo_count: pixels }]);
+            shrink(&groups, &parents)
+        };
+        let own = node(8);
+        assert!((settled(0.0, 0.0)[0] - own).abs() < 1e-3 && settled(0.0, 0.0)[1] == 0.6);
+        assert!(settled(100.0, 0.0)[0] > 0.75, "a strong prior wins");
+        assert!(settled(0.0, 500.0)[0] > 0.75, "one pixel beside 500 is not believed");
+        // Of several parents, those that count as pixels speak where there are none.
+        let mean = |parents: [Prior; 3]| shrink(&groups, &[parents; 2])[1];
+        let [near, far, room] =
+            [Prior::pseudo_pixels(0.2, 30.0), Prior::pseudo_pixels(0.6, 10.0), Prior::weighted(0.9, 0.3)];
+        assert!((mean([near, far, room]) - 0.3).abs() < 1e-6 && (mean([room; 3]) - 0.9).abs() < 1e-6);
+    }
+}

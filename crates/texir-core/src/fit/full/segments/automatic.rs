@@ -88,7 +88,7 @@ pub fn classes(
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::fit::full::unseen::flat_surfaces;
+    use crate::fit::full::segments::surfaces::flat_surfaces;
     use crate::surface::SurfacePoint;
 
     pub const SIDE: usize = 60;

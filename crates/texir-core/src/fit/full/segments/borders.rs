@@ -60,7 +60,7 @@ mod tests {
 
     use super::*;
     use crate::fit::full::segments::automatic::tests::{SIDE, TEXEL, floor_and_wall};
-    use crate::fit::full::unseen::flat_surfaces;
+    use crate::fit::full::segments::surfaces::flat_surfaces;
 
     const FLOOR: u16 = 1;
     const RUG: u16 = 2;

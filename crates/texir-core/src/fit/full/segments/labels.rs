@@ -14,13 +14,13 @@ use crate::backend::Backend;
 use crate::capture::View;
 use crate::error::Result;
 use crate::fit::adjacency::Adjacency;
-use crate::fit::full::unseen;
-use crate::mesh::Mesh;
+use crate::fit::full::segments::surfaces;
 use crate::progress::{Progress, Task};
 use crate::raster::Mask;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 use crate::tbl::shown::{VisibleSurfaces, pixels_per_steradian};
+use crate::texture::SparseRows;
 
 /// Surfaces seen at a smaller cosine have no vote: the pixel's neighbour may be metres away on them.
 const MIN_COSINE: f32 = 0.1;
@@ -86,10 +86,12 @@ impl Labels {
             ));
         }
         let scene = backend.scene();
-        let surface = unseen::flat_surfaces(atlas, adjacency);
-        let backs = unseen::backs(scene, atlas);
-        class.blur(scene.mesh(), atlas, adjacency);
-        room.blur(scene.mesh(), atlas, adjacency);
+        let surface = surfaces::flat_surfaces(atlas, adjacency);
+        let backs = surfaces::backs(scene, atlas);
+        let (sharing, texel) = (sharing(atlas, adjacency), atlas.typical_texel(scene.mesh()));
+        class.blur(&sharing, texel);
+        room.blur(&sharing, texel);
+        drop(sharing);
         class.share(&backs);
         let [class, room] = [class, room].map(|votes| votes.count(&surface));
         Ok(Self { surface, backs, class, room })
@@ -99,6 +101,16 @@ impl Labels {
     pub fn has_classes(&self) -> bool {
         self.class.iter().any(Option::is_some)
     }
+}
+
+/// Those around each texel that face as it does.
+pub fn sharing(atlas: &Atlas, adjacency: &Adjacency) -> SparseRows<u32> {
+    let normal = |t: u32| Vec3::from(atlas.points[t as usize].normal);
+    let mut rows = SparseRows::default();
+    for t in 0..atlas.points.len() as u32 {
+        rows.push(adjacency.around(t).filter(|n| normal(t).dot(normal(*n)) >= SAME_NORMAL));
+    }
+    rows
 }
 
 /// The pixel of a view that shows a texel.
@@ -121,7 +133,8 @@ pub fn texel_votes(
     let shown = VisibleSurfaces::new(backend, camera)?;
     let candidate = |(texel, point): (usize, &SurfacePoint)| {
         let position = Vec3::from(point.position);
-        let at = camera.project(position)?;
+        let faces_camera = Vec3::from(point.normal).dot(camera.position() - position) > 0.0;
+        let at = faces_camera.then(|| camera.project(position))??;
         let pixel = camera.pixel(at.x as i64, at.y as i64)?;
         let usable = mask.is_none_or(|mask| mask.data[pixel]);
         let shows = usable && shown.shows(pixel, point, position.distance(camera.position()));
@@ -143,35 +156,48 @@ pub fn texel_votes(
 #[derive(Default)]
 pub struct Votes(Vec<Ballot>);
 
-/// Labels of a texel with the weight of their votes, 0 for none; more labels than fit are dropped, the weakest first.
+/// Labels of a texel, 0 for none, and the weight of their votes; more labels than fit are dropped, the weakest first.
 #[derive(Clone, Copy, Default)]
-struct Ballot([(u16, f32); 6]);
+struct Ballot {
+    labels: [u16; 6],
+    weights: [f32; 6],
+}
 
 impl Ballot {
+    fn votes(&self) -> impl Iterator<Item = (u16, f32)> {
+        self.labels.into_iter().zip(self.weights)
+    }
+
     fn add(&mut self, label: u16, weight: f32) {
-        if let Some(known) = self.0.iter_mut().find(|(l, _)| *l == label) {
-            known.1 += weight;
-        } else if let Some(weakest) = self.0.iter_mut().min_by(|a, b| a.1.total_cmp(&b.1))
-            && weakest.1 < weight
+        let weakest = || (0..self.weights.len()).min_by(|a, b| self.weights[*a].total_cmp(&self.weights[*b]));
+        if let Some(known) = self.labels.iter().position(|l| *l == label) {
+            self.weights[known] += weight;
+        } else if let Some(weakest) = weakest()
+            && self.weights[weakest] < weight
         {
-            *weakest = (label, weight);
+            (self.labels[weakest], self.weights[weakest]) = (label, weight);
         }
     }
 
     /// Adds a share of another's votes.
     fn merge(&mut self, other: &Self, share: f32) {
-        other.0.iter().filter(|(label, _)| *label != 0).for_each(|(label, weight)| self.add(*label, share * weight));
+        // As nearly everywhere.
+        if self.labels == other.labels {
+            self.weights.iter_mut().zip(other.weights).for_each(|(sum, weight)| *sum += share * weight);
+        } else {
+            other.votes().filter(|(label, _)| *label != 0).for_each(|(label, weight)| self.add(label, share * weight));
+        }
     }
 
     /// All votes.
     fn weight(&self) -> f32 {
-        self.0.iter().map(|(_, weight)| weight).sum()
+        self.weights.iter().sum()
     }
 
     /// The label with the most votes; the lower of two that are equal.
     fn winner(&self) -> Option<u16> {
-        let most = self.0.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
-        most.map(|(label, _)| *label).filter(|label| *label != 0)
+        let most = self.votes().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+        most.map(|(label, _)| label).filter(|label| *label != 0)
     }
 }
 
@@ -190,32 +216,26 @@ impl Votes {
 
     /// The share of all votes that go to the winner of their texel; 1 where there are none.
     fn agreement(&self) -> f32 {
-        let most = |ballot: &Ballot| ballot.0.iter().map(|(_, weight)| *weight).fold(0.0, f32::max);
+        let most = |ballot: &Ballot| ballot.weights.into_iter().fold(0.0, f32::max);
         let [agreed, all] = (self.0.iter()).fold([0.0; 2], |[agreed, all], ballot| {
             [agreed + f64::from(most(ballot)), all + f64::from(ballot.weight())]
         });
         if all > 0.0 { (agreed / all) as f32 } else { 1.0 }
     }
 
-    /// Lets texels that face alike share their votes with those around them.
-    pub fn blur(&mut self, mesh: &Mesh, atlas: &Atlas, adjacency: &Adjacency) {
+    /// Lets texels share their votes with those around them ([`sharing`]), which are `texel` wide, metres.
+    pub fn blur(&mut self, sharing: &SparseRows<u32>, texel: f32) {
         let Self(votes) = self;
-        if votes.is_empty() {
-            return;
-        }
-        let facing = |a: u32, b: u32| {
-            Vec3::from(atlas.points[a as usize].normal).dot(atlas.points[b as usize].normal.into()) >= SAME_NORMAL
-        };
-        for _ in 0..rounds(BLUR, atlas.typical_texel(mesh)) {
-            let mean = |t: u32| {
-                let (mut sum, mut sharing) = (Ballot::default(), 0.0);
-                for n in std::iter::once(t).chain(adjacency.around(t).filter(|&n| facing(t, n))) {
-                    sharing += 1.0;
-                    sum.merge(&votes[n as usize], 1.0);
-                }
-                Ballot(sum.0.map(|(label, weight)| (label, weight / sharing)))
+        let mut before = votes.clone();
+        for _ in 0..rounds(BLUR, texel) {
+            std::mem::swap(votes, &mut before);
+            let mean = |(t, mean): (usize, &mut Ballot)| {
+                let around = sharing.row(t);
+                *mean = before[t];
+                around.iter().for_each(|n| mean.merge(&before[*n as usize], 1.0));
+                mean.weights.iter_mut().for_each(|weight| *weight /= 1.0 + around.len() as f32);
             };
-            *votes = (0..votes.len() as u32).into_par_iter().map(mean).collect();
+            votes.par_iter_mut().enumerate().for_each(mean);
         }
     }
 
@@ -356,8 +376,8 @@ mod tests {
                 let sees = |t: usize| (!islet(t) || view < votes_on_islet).then_some(Vote { pixel: t, weight: 1.0 });
                 votes.add(&all.map(sees).collect::<Vec<_>>(), |t| if islet(t) { 2 } else { 1 });
             }
-            votes.blur(scene.mesh(), &atlas, &adjacency);
-            votes.count(&unseen::flat_surfaces(&atlas, &adjacency))
+            votes.blur(&sharing(&atlas, &adjacency), atlas.typical_texel(scene.mesh()));
+            votes.count(&surfaces::flat_surfaces(&atlas, &adjacency))
         };
         let middle = (0..atlas.points.len())
             .filter(|&t| islet(t))
@@ -422,8 +442,8 @@ mod tests {
                 seen.iter_mut().zip(&of_view).for_each(|(seen, vote)| *seen |= vote.is_some());
                 votes.add(&of_view, |pixel| labels.data[pixel]);
             }
-            votes.blur(scene.mesh(), &atlas, &adjacency);
-            let fused = spread(votes.count(&unseen::flat_surfaces(&atlas, &adjacency)), &adjacency, |_| 0);
+            votes.blur(&sharing(&atlas, &adjacency), atlas.typical_texel(scene.mesh()));
+            let fused = spread(votes.count(&surfaces::flat_surfaces(&atlas, &adjacency)), &adjacency, |_| 0);
             let all = seen.iter().filter(|seen| **seen).count();
             let right = (0..truth.len()).filter(|&t| seen[t] && fused[t] == truth[t]).count();
             right as f64 / all as f64

@@ -1,5 +1,12 @@
 //! From labels per pixel to segments on the surface: connected regions of one class in one room.
 
+mod automatic;
+mod borders;
+mod colours;
+pub mod hidden;
+pub mod labels;
+mod surfaces;
+
 use std::collections::{HashMap, VecDeque};
 
 use glam::{Vec3, Vec3A};
@@ -7,15 +14,9 @@ use rayon::prelude::*;
 
 use self::colours::Colours;
 use self::labels::Labels;
-use crate::fit::full::partition::Partition;
-use crate::fit::full::unseen;
-
-pub mod automatic;
-pub mod borders;
-pub mod colours;
-pub mod labels;
 use crate::atlas::Atlas;
 use crate::fit::adjacency::Adjacency;
+use crate::fit::full::partition::Partition;
 use crate::rooms::FloorPlan;
 
 /// Pieces of a segment that are smaller, square metres, are no faces of their own.
@@ -88,7 +89,7 @@ pub fn segment(
     plan: &FloorPlan,
 ) -> Segments {
     let everywhere = |known: &[Option<u16>], otherwise: &dyn Fn(usize) -> u16| {
-        spread(unseen::label(atlas, &labels.surface, known, texel), adjacency, otherwise)
+        spread(hidden::label(atlas, &labels.surface, known, texel), adjacency, otherwise)
     };
     let seen = |t: usize| is_seen[t];
     let colours = Colours::find(adjacency, &labels.surface, albedo, seen, texel);
@@ -163,6 +164,24 @@ pub(super) fn spread(known: Vec<Option<u16>>, adjacency: &Adjacency, otherwise: 
 mod tests {
     use self::automatic::tests::{SIDE, floor_and_wall};
     use super::*;
+    use crate::fit::adjacency::NONE;
+
+    /// A strip of texels, each beside the next.
+    fn strip(count: u32) -> Adjacency {
+        let beside = (0..count)
+            .map(|i| [if i > 0 { i - 1 } else { NONE }, if i + 1 < count { i + 1 } else { NONE }, NONE, NONE])
+            .collect();
+        Adjacency { beside, seams: vec![] }
+    }
+
+    #[test]
+    fn texels_that_no_pixel_sees_take_their_neighbours_label() {
+        let known = |texel| [Some(1), None, Some(2)][usize::from(texel > 3) + usize::from(texel > 5)];
+        let labels = spread((0..10).map(known).collect(), &strip(10), |_| 0);
+        assert_eq!(labels, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2]);
+        let (segments, count) = strip(10).regions(&[], |a, b| labels[a as usize] == labels[b as usize]);
+        assert_eq!((segments[0], segments[9], count), (0, 1, 2));
+    }
 
     #[test]
     fn unseen_segments_are_painted_after_their_kind_in_their_room_first() {
@@ -181,7 +200,7 @@ mod tests {
     #[test]
     fn faces_end_at_creases_and_where_segments_do_and_small_ones_are_one() {
         let (atlas, adjacency) = floor_and_wall();
-        let surface = unseen::flat_surfaces(&atlas, &adjacency);
+        let surface = surfaces::flat_surfaces(&atlas, &adjacency);
         let texels = atlas.points.len();
         let (floor, wall) = (0..SIDE * SIDE, SIDE * SIDE..texels);
         let one = vec![0; texels];
