@@ -102,20 +102,19 @@ impl CgState {
 }
 
 impl System<'_> {
-    /// A x, and x A x.
-    fn apply(&self, x: &[Vec3A]) -> (Vec<Vec3A>, [f64; 3]) {
+    /// Writes A x to `out`; returns x A x.
+    fn apply(&self, x: &[Vec3A], out: &mut [Vec3A]) -> [f64; 3] {
         let p = self.problem;
         let weighted = |i: usize| {
             let gain = p.row_scale(self.target, i);
             p.forward(x, i) * gain * gain * self.weight[i]
         };
-        let mut out =
-            p.seen.bands.sum(&p.seen.rows, Vec3A::ZERO, weighted, |sum, share, v| *sum += *v * share.weight());
-        let product = sum(&mut out, |t, out| {
+        let add = |sum: &mut Vec3A, share: &PackedTap, v: &Vec3A| *sum += *v * share.weight();
+        p.seen.bands.sum_into(out, &p.seen.rows, Vec3A::ZERO, weighted, add);
+        sum(out, |t, out| {
             *out = *out * p.texel_scale(t) + p.settings.segment_prior * x[t] + self.laplacian(x, t);
             *out * x[t]
-        });
-        (out, product)
+        })
     }
 
     /// The residual of the normal equations at `x`, whose forward model is `predicted`, and the inverse diagonal, in
@@ -168,8 +167,10 @@ fn conjugate_gradients(system: &System<'_>, (x, predicted): (&mut [Vec3A], &[Vec
     let mut direction: Vec<Vec3A> = state.par_iter().map(CgState::preconditioned).collect();
     let rho_term = |state: &CgState| state.residual * state.preconditioned();
     let mut rho = sum(&mut state, |_, state| rho_term(state));
+    // One list for all steps: a fresh one is paged in anew at every step.
+    let mut a_direction = vec![Vec3A::ZERO; direction.len()];
     for _ in 0..iterations {
-        let (a_direction, curvature) = system.apply(&direction);
+        let curvature = system.apply(&direction, &mut a_direction);
         let alpha = ratio(rho, curvature);
         let next = sum((&mut state, &mut *x), |t, (state, x)| {
             *x += alpha * direction[t];

@@ -45,9 +45,23 @@ impl Bands {
         value: impl Fn(usize) -> V + Sync,
         add: impl Fn(&mut T, &PackedTap, &V) + Sync,
     ) -> Vec<T> {
-        let mut sums = vec![zero; self.texels];
+        let mut sums: Vec<T> = rayon::iter::repeat_n(zero.clone(), self.texels).collect();
+        self.sum_into(&mut sums, rows, zero, value, add);
+        sums
+    }
+
+    /// [`Self::sum`] into a list of as many texels, whatever it holds.
+    pub fn sum_into<T: Clone + Send + Sync, V>(
+        &self,
+        sums: &mut [T],
+        rows: &SparseRows<PackedTap>,
+        zero: T,
+        value: impl Fn(usize) -> V + Sync,
+        add: impl Fn(&mut T, &PackedTap, &V) + Sync,
+    ) {
         sums.par_chunks_mut(BAND).zip(&self.pixels).enumerate().for_each(|(band, (sums, pixels))| {
             let first = band * BAND;
+            sums.fill(zero.clone());
             for &pixel in pixels {
                 let value = value(pixel as usize);
                 for share in rows.row(pixel as usize) {
@@ -57,7 +71,6 @@ impl Bands {
                 }
             }
         });
-        sums
     }
 }
 

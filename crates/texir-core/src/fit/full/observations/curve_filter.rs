@@ -7,7 +7,7 @@
 //! width goes with α = r², they show the same: at every node a curve becomes the mean of those around it, weighted by
 //! exp(−½ (turn/(width · α))²).
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::backend::ShadePoint;
@@ -80,10 +80,12 @@ pub fn filter(
     let reach = (REACH / angle).round().max(1.0) as usize;
     let widest = WIDEST * reach as f32 * angle;
     let sigma: [f32; NODES] = std::array::from_fn(|k| (width * node(k) * node(k)).min(widest));
-    let radiance: Vec<[[f32; 3]; NODES]> =
-        curves.par_iter().map(|curve| std::array::from_fn(|k| curve.at_node(k))).collect();
+    let sharpness = sigma.map(|of| 0.5 / (of * of));
+    // And 1, whose sum is that of the weights.
+    let radiance = |curve: &Curve| std::array::from_fn(|k| Vec3::from(curve.at_node(k)).extend(1.0));
+    let radiance: Vec<[Vec4; NODES]> = curves.par_iter().map(radiance).collect();
     let mean = |block: usize| {
-        let mut sums = radiance[block].map(|[r, g, b]| [r, g, b, 1.0]);
+        let mut sums = radiance[block];
         for other in blocks.around(block, reach).filter(|&other| other != block) {
             if !reflections[block].patch.like(&reflections[other].patch) {
                 continue;
@@ -92,18 +94,17 @@ pub fn filter(
             // From rough to smooth kernels get narrower, below those that are all of the widest.
             let (mut of, mut weight) = (0.0, 0.0);
             for k in (0..NODES).rev() {
-                if sigma[k] != of {
-                    of = sigma[k];
-                    weight = (-0.5 * (turn / of).powi(2)).exp();
+                if sharpness[k] != of {
+                    of = sharpness[k];
+                    weight = (-of * turn * turn).exp();
                 }
                 if weight < NEGLIGIBLE {
                     break;
                 }
-                (0..3).for_each(|c| sums[k][c] += weight * radiance[other][k][c]);
-                sums[k][3] += weight;
+                sums[k] += weight * radiance[other][k];
             }
         }
-        PackedCurve::new(sums.map(|[r, g, b, weight]| [r, g, b].map(|c| c / weight)))
+        PackedCurve::new(sums.map(|sum| (sum.truncate() / sum.w).to_array()))
     };
     (0..curves.len()).into_par_iter().map(mean).collect()
 }
