@@ -53,7 +53,7 @@ impl PackedTap {
 
     /// That of the whole pixel.
     pub fn weight(&self) -> f32 {
-        /// Of a unit; a product is several times as fast as a quotient, and solvers weigh little else.
+        /// What a unit weighs.
         const UNIT: f32 = 1.0 / OF_PIXEL as f32;
         f32::from(self.of_pixel) * UNIT
     }
