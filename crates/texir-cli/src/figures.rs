@@ -27,6 +27,19 @@ pub const FIGURES: [Figure; 7] = [
     row("Roughness in novel views", true, |t| t.novel.roughness),
 ];
 
+/// What ground truth the capture lacks, for the user.
+pub fn lacks(evaluation: &Evaluation) -> Option<&'static str> {
+    let Table { train, novel, .. } = &evaluation.result;
+    let is_scored = [train, novel].iter().any(|views| views.albedo.is_some() || views.roughness.is_some());
+    match (is_scored, evaluation.true_materials.is_some()) {
+        (_, true) => None,
+        (true, false) => {
+            Some("No ground-truth textures in this capture: what true materials would score is not known.")
+        }
+        (false, false) => Some("No ground truth in this capture: albedo and roughness are not scored."),
+    }
+}
+
 /// The table as text: the result, and beside it that of the true materials where they are known.
 pub fn text(evaluation: &Evaluation) -> String {
     let true_materials = evaluation.true_materials.as_ref();
@@ -44,8 +57,6 @@ pub fn text(evaluation: &Evaluation) -> String {
         }
         lines.push(line);
     }
-    if true_materials.is_none() {
-        lines.push("The capture has no true textures: there are no scores of true materials.".to_owned());
-    }
+    lines.extend(lacks(evaluation).map(str::to_owned));
     lines.join("\n")
 }

@@ -244,10 +244,10 @@ pub fn evaluate(
     })
 }
 
-/// What radiance is multiplied with before it is encoded for display, where `factor` would bring it to about 1: nothing
-/// is, unless images would be white or black throughout.
+/// What radiance is multiplied with before it is encoded for display, where `factor` would bring it to about 1: 1,
+/// unless most of an image would be white, or black.
 fn shown_in(factor: f32) -> f32 {
-    if (1.0 / 16.0..=64.0).contains(&factor) { 1.0 } else { factor }
+    if (0.5..=16.0).contains(&factor) { 1.0 } else { factor }
 }
 
 /// What the capture says about a view.

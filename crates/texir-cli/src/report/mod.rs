@@ -276,7 +276,7 @@ mod tests {
             "Stage III",
             "pano_000",
             "novel view",
-            "True: not known",
+            "no ground truth",
             "specular_samples = 16",
             "llvmpipe",
             "id=\"view-1\"",
@@ -296,7 +296,7 @@ mod tests {
         report.rooms = None;
         report.curves.clear();
         let html = page::html(&report);
-        assert!(html.contains("no scores to compare with") && !html.contains("true materials"));
+        assert!(html.contains("No ground-truth textures") && !html.contains("true materials"));
         assert!(!html.contains("Floor plan") && !html.contains("Stage I"));
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Display;
 
 use texir_core::capture::Split;
 
-use crate::figures::{FIGURES, Figure};
+use crate::figures::{FIGURES, Figure, lacks};
 
 use super::picture::{ERROR_COLOURS, ERROR_RANGE, Picture, UNCOUNTED};
 use super::{Report, Row, TextureFigure, ViewPanel};
@@ -99,12 +99,10 @@ fn figures(page: &mut String, report: &Report) {
          page, clamp(x<sup>1/2.2</sup>, 0, 1); roughness as it is. PSNR is that of the mean squared error over views; {} \
          rays a pixel. {}</p>\n",
         evaluation.samples,
-        if evaluation.true_materials.is_some() {
+        lacks(evaluation).unwrap_or(
             "True materials are rendered with the same lighting, atlas and renderer. A fit can exceed them in renderings, as \
              fitted materials also compensate for errors in the lighting."
-        } else {
-            "The capture has no true textures, so there are no scores to compare with."
-        }
+        )
     );
 }
 
@@ -191,7 +189,7 @@ fn panel(page: &mut String, index: usize, view: &ViewPanel) {
                     "<figure>{}<figcaption>{column}</figcaption></figure>\n",
                     img(picture, format_args!("{label}, {}, {}", column.to_lowercase(), escape(&view.name)))
                 ),
-                None => push!(page, "<figure><div class=\"missing\">{column}: not known</div></figure>\n"),
+                None => push!(page, "<figure><div class=\"missing\">no ground truth</div></figure>\n"),
             }
         }
     }

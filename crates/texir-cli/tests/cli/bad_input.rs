@@ -104,7 +104,7 @@ fn a_mesh_without_an_atlas() {
 fn semantics_of_another_size() {
     let capture = Capture::new();
     write_png_labels(capture.file("semantic/b.png"), &Labels::filled(WIDTH, HEIGHT + 1, 1)).unwrap();
-    refused(&capture, &[], &["semantic/b.png", "semantic_path", "32×17", "expected 32×16", "resize the file"]);
+    refused(&capture, &[], &["semantic/b.png", "semantic_path", "32×17", "expected 32×16", "scale w, h"]);
 }
 
 #[test]

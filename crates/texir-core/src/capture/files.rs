@@ -1,7 +1,7 @@
 //! Finding files by their names, where formats leave it open how exactly they are called.
 
 use std::collections::{HashMap, HashSet};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// Extensions of linear images, which are preferred to what a photo program was fed with.
 const LINEAR: [&str; 4] = ["exr", "hdr", "tif", "tiff"];
@@ -22,6 +22,22 @@ pub(super) fn image(folder: &Path, places: &[&str], name: &str) -> PathBuf {
     found.or_else(|| candidates().next()).unwrap_or_else(|| folder.join(name))
 }
 
+/// The image that `path`, below `folder`, names. For an encoded one what it was merged into: a linear image of the same
+/// stem in `hdr/`, under the same path with or without its first folder, or beside it.
+pub(super) fn rather_linear(folder: &Path, path: &Path) -> PathBuf {
+    let named = folder.join(path);
+    if !is_encoded(path) {
+        return named;
+    }
+    let hdr = folder.join("hdr");
+    let whole: PathBuf = path.components().filter(|part| *part != Component::CurDir).collect();
+    let shorter: PathBuf = whole.components().skip(1).collect();
+    let shorter = (shorter.file_name() == path.file_name()).then(|| hdr.join(&shorter));
+    let places = shorter.into_iter().chain([hdr.join(&whole), named.clone()]);
+    let mut candidates = places.flat_map(|place| LINEAR.map(|extension| place.with_extension(extension)));
+    candidates.find(|path| path.is_file()).unwrap_or(named)
+}
+
 /// Replaces an image's extension; a name without one (`r_0`, `scan.12`) gets it.
 fn with_extension(path: &Path, extension: &str) -> PathBuf {
     if is_image(path) {
@@ -35,8 +51,17 @@ fn with_extension(path: &Path, extension: &str) -> PathBuf {
 
 /// The name ends as an image's does.
 fn is_image(path: &Path) -> bool {
-    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-    extension.is_some_and(|extension| LINEAR.iter().chain(&ENCODED).any(|e| *e == extension))
+    ends_with(path, &LINEAR) || is_encoded(path)
+}
+
+/// The name ends as that of an image of 8 or 16-bit values does.
+pub(super) fn is_encoded(path: &Path) -> bool {
+    ends_with(path, &ENCODED)
+}
+
+fn ends_with(path: &Path, extensions: &[&str]) -> bool {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    extensions.iter().any(|e| e.eq_ignore_ascii_case(extension))
 }
 
 /// `mesh.*`, else the only mesh among the folder's files.
@@ -54,11 +79,7 @@ pub(super) fn only(folder: &Path, extensions: &[&str]) -> Option<PathBuf> {
 /// The folder's files with one of these extensions, sorted.
 pub(super) fn with_extensions(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let wanted = |path: &PathBuf| {
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        extensions.contains(&extension.as_str()) && path.is_file()
-    };
-    let mut found: Vec<PathBuf> = entries.filter(wanted).collect();
+    let mut found: Vec<PathBuf> = entries.filter(|path| ends_with(path, extensions) && path.is_file()).collect();
     found.sort();
     found
 }

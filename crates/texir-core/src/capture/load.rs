@@ -153,8 +153,8 @@ fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
     if let Some(first) = down.first().filter(|_| 2 * down.len() > views.len()) {
         progress.warn(&format!(
             "{}: transform_matrix: {} of {} cameras are upside down (+Z is up in the world), the first is {:?}: are their axes \
-             OpenCV's (+Y down, +Z forward)? Expected OpenGL's (+Y up, -Z forward): negate columns 2 and 3 of every \
-             transform_matrix",
+             OpenCV's (+Y down, +Z forward)? Expected OpenGL's (+Y up, -Z forward): negate the second and the third \
+             column of every transform_matrix",
             root.join("transforms.json").display(),
             down.len(),
             views.len(),

@@ -481,7 +481,10 @@ fn cameras_upside_down_are_warned_about() {
     for (turned, parts) in [(0..3, ["3 of 3 cameras", "\"view_0\""]), (1..3, ["2 of 3 cameras", "\"view_1\""])] {
         let warnings = warned_of_axes(turned);
         assert_eq!(warnings.len(), 1, "{warnings:?}");
-        assert_says(&warnings[0], &["transforms.json: transform_matrix", "upside down", "OpenCV", "columns 2 and 3"]);
+        assert_says(
+            &warnings[0],
+            &["transforms.json: transform_matrix", "upside down", "OpenCV", "second and the third column"],
+        );
         assert_says(&warnings[0], &parts);
     }
     // Negative control: one of three may hang from the ceiling.

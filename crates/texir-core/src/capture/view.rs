@@ -185,8 +185,8 @@ impl View {
         Err(Error::file(
             path,
             format!(
-                "{field} of view {:?} is {width}×{height} pixels; expected {}×{}, the w and h of its camera: resize the \
-                 file, or correct w and h",
+                "{field} of view {:?} is {width}×{height} pixels; expected {}×{}, the w and h of its camera: give the \
+                 image that was registered, or scale w, h, fl_x, fl_y, cx and cy alike",
                 self.name, camera.width, camera.height
             ),
         ))

@@ -64,8 +64,8 @@ pub fn affordable(
     let textures = needed(settings, size, 0, mesh);
     let left = limit.0.checked_sub(textures.0).ok_or_else(|| {
         Error::invalid(format!(
-            "max_memory is {limit}, but textures of {}×{} texels and the mesh alone need about {textures}: raise it, or \
-             lower atlas_size",
+            "setting fit.max_memory is {limit}, but textures of {}×{} texels and the mesh alone need about {textures}: raise it, or \
+             lower fit.atlas_size",
             size[0], size[1]
         ))
     })?;
@@ -83,7 +83,8 @@ pub fn affordable(
                 &view.image,
                 format!(
                     "a panorama of {width}×{height} pixels must be reduced {factor} times, but no number near {factor} \
-                     divides both: resize the images so that one does, or raise max_memory or atlas_size"
+                     divides both: resize the images so that one does, or raise fit.max_memory or \
+                     fit.atlas_size"
                 ),
             )
         })

@@ -150,10 +150,12 @@ pub fn fit(
     let emitters = emitters::find(backend, surface, light, &training, settings.emitter_ratio, progress)?;
     drop(room_of_texel);
     if emission(&tbl.radiance, &emitters).all(|e| e == [0.0; 3]) {
-        return Err(Error::invalid(
-            "no light source was found: no texel of the HDR texture is brighter than its surroundings can make it. \
-             Check the exposure of the images, or lower the setting emitter_ratio",
-        ));
+        return Err(Error::invalid(format!(
+            "no light source was found: no texel of the HDR texture is {} times as bright as it could reflect. Turn the \
+             faces of lamps into the room, close windows with a surface, merge shorter exposures where lamps are \
+             clipped, or lower the setting fit.emitter_ratio",
+            settings.emitter_ratio
+        )));
     }
     let context = FitContext {
         atlas: &atlas,

@@ -121,8 +121,8 @@ pub fn detect(mesh: &Mesh, cameras: &[Vec3], options: &RoomOptions) -> Result<Fl
     }
     if plans.is_empty() {
         return Err(Error::invalid(format!(
-            "no room was found: no free floor of {} m² between walls. Check that the mesh is in metres and that {:?} \
-             points up",
+            "no room was found: no free floor of {} m² between walls; expected a mesh in metres in which {:?} points \
+             up. `texir import` scales and turns a capture",
             options.min_area, options.up
         )));
     }

@@ -25,7 +25,7 @@ use glam::Vec3;
 pub use self::write::{Written, check_vacant, write};
 use super::Capture;
 use super::segment::Segmenter;
-use crate::capture::{Shot, upright};
+use crate::capture::{Shot, files, upright};
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
 use crate::mesh::Mesh;
@@ -131,13 +131,15 @@ pub fn detect(folder: &Path, format: Option<&str>) -> Result<&'static dyn Import
     })
 }
 
-/// True when the folder is a capture already: nothing needs to be imported.
+/// True when the folder is a capture already: images are linear and without lens distortion, so that nothing needs to
+/// be imported.
 pub fn is_capture(folder: impl AsRef<Path>) -> Result<bool> {
     let folder = folder.as_ref();
     if detect(folder, None)?.name() != nerfstudio::Nerfstudio.name() {
         return Ok(false);
     }
-    Ok(super::nerfstudio::read_shots(&folder.join("transforms.json"))?.iter().all(|shot| shot.distortion.is_none()))
+    let is_ready = |shot: &Shot| shot.distortion.is_none() && !files::is_encoded(&shot.view.image);
+    Ok(super::nerfstudio::read_shots(&folder.join("transforms.json"))?.iter().all(is_ready))
 }
 
 /// Reads a folder of any known format and places it in texir's frame.

@@ -6,8 +6,8 @@ use std::path::Path;
 use glam::Vec3;
 
 use super::{Importer, Source};
-use crate::capture::files;
 use crate::capture::nerfstudio::read_shots;
+use crate::capture::{Shot, files};
 use crate::error::Result;
 
 /// See the module.
@@ -32,12 +32,18 @@ impl Importer for Nerfstudio {
 
     fn read(&self, folder: &Path) -> Result<Source> {
         let textures = TEXTURES.map(|name| (name, folder.join(name)));
+        let mut shots = read_shots(&folder.join("transforms.json"))?;
+        for Shot { view, .. } in &mut shots {
+            let path = view.image.strip_prefix(folder).unwrap_or(&view.image);
+            view.image = files::rather_linear(folder, path);
+        }
         Ok(Source {
-            shots: read_shots(&folder.join("transforms.json"))?,
+            shots,
             mesh: files::mesh(folder),
             textures: textures.into_iter().filter(|(_, path)| path.is_file()).collect(),
             up: Some(Vec3::Z),
-            metres_per_unit: Some(1.0),
+            // Metres where a device measured them; ns-process-data leaves COLMAP's unit as it is.
+            metres_per_unit: None,
             assumed: vec![
                 "poses are camera-to-world with OpenGL axes (−Z forward, +Y up), as nerfstudio writes them".into(),
             ],

@@ -148,7 +148,7 @@ impl Job<'_> {
         let expected = [view.camera.width, view.camera.height];
         if size != expected {
             let what = format!(
-                "is {} pixels; expected {}, the size in the camera's intrinsics: resize it",
+                "is {} pixels; expected {}, the size in the camera's intrinsics: give the image that was registered",
                 times(size),
                 times(expected)
             );

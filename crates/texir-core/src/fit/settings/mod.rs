@@ -104,12 +104,12 @@ impl FitSettings {
         ];
         if self.mode == Mode::Paper && self.full.metallic.enabled {
             return Err(Error::invalid(
-                "setting full.metallic.enabled is true, but mode is paper, in which everything is a dielectric; use mode full",
+                "setting fit.full.metallic.enabled is true, but fit.mode is paper, in which everything is a dielectric; use mode full",
             ));
         }
         match checks.iter().chain(&self.paper.checks()).chain(&self.full.checks()).find(|(_, _, ok, _)| !ok) {
             Some((name, value, _, allowed)) => {
-                Err(Error::invalid(format!("setting {name} is {value}; it must be {allowed}")))
+                Err(Error::invalid(format!("setting fit.{name} is {value}; it must be {allowed}")))
             }
             None => Ok(()),
         }

@@ -481,6 +481,33 @@ fn nerfstudio_is_read_with_all_that_belongs_to_it() {
 }
 
 #[test]
+fn nerfstudio_of_photos_takes_what_they_were_merged_into() {
+    let folder = nerfstudio();
+    let path = folder.path().join("transforms.json");
+    let mut document: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    // Of two cameras, whose files have the same names, and one whose photo has nothing beside it but another photo.
+    let photos = ["images/left/0.jpg", "./images/right/0.JPG", "photos/v2.png"];
+    for (frame, photo) in document["frames"].as_array_mut().unwrap().iter_mut().zip(photos) {
+        frame["file_path"] = photo.into();
+    }
+    std::fs::write(&path, document.to_string()).unwrap();
+    assert!(!is_capture(folder.path()).unwrap(), "photos are no linear images");
+    let images = || {
+        let read = nerfstudio::Nerfstudio.read(folder.path()).unwrap();
+        read.shots.into_iter().map(|shot| shot.view.image).take(photos.len()).collect::<Vec<_>>()
+    };
+    let at = |path: &str| folder.path().join(path);
+    // Without any, the photos themselves; beside them; in `hdr/`, with and without their first folder.
+    std::fs::remove_file(at("photos/v2.exr")).unwrap();
+    assert_eq!(images(), photos.map(at));
+    for linear in ["photos/v2.hdr", "hdr/left/0.exr", "hdr/images/right/0.exr"] {
+        std::fs::create_dir_all(at(linear).parent().unwrap()).unwrap();
+        std::fs::write(at(linear), []).unwrap();
+    }
+    assert_eq!(images(), ["hdr/left/0.exr", "hdr/images/right/0.exr", "photos/v2.hdr"].map(at));
+}
+
+#[test]
 fn an_import_replaces_nothing_and_leaves_nothing_half_done() {
     let source = nerfstudio();
     let read = super::super::read(source.path(), &ImportOptions::default(), &Silent).unwrap();
