@@ -125,9 +125,12 @@ impl Camera {
     }
 
     /// The same view with one pixel for `factor` along both axes; columns and rows that do not fill one are cut off.
-    /// `None` where a panorama would not stay whole.
+    /// `None` where a panorama would not stay whole, or nothing is left.
     pub fn reduced(&self, factor: usize) -> Option<Self> {
-        let (width, height) = (self.width / factor, self.height / factor);
+        let (width, height) = (self.width.checked_div(factor)?, self.height.checked_div(factor)?);
+        if width == 0 || height == 0 {
+            return None;
+        }
         let projection = match self.projection {
             Projection::Equirectangular if (width * factor, height * factor) != (self.width, self.height) => {
                 return None;

@@ -23,6 +23,8 @@ pub struct Adjacency {
     pub beside: Vec<[u32; 4]>,
     /// Pairs across the seams between charts, from both sides, ascending.
     pub seams: Vec<[u32; 2]>,
+    /// Which texels are the first of a pair in `seams`.
+    is_at_seam: Vec<bool>,
 }
 
 impl Adjacency {
@@ -46,13 +48,21 @@ impl Adjacency {
                 })
             })
             .collect();
-        Self { beside, seams: seams(mesh, atlas, &index) }
+        Self::of(beside, seams(mesh, atlas, &index))
+    }
+
+    /// The neighbours `beside` each texel, and `seams` from both sides, ascending.
+    pub(super) fn of(beside: Vec<[u32; 4]>, seams: Vec<[u32; 2]>) -> Self {
+        let mut is_at_seam = vec![false; beside.len()];
+        seams.iter().for_each(|[texel, _]| is_at_seam[*texel as usize] = true);
+        Self { beside, seams, is_at_seam }
     }
 
     /// All neighbours of a texel: beside it, and across seams.
     pub fn around(&self, texel: u32) -> impl Iterator<Item = u32> + '_ {
-        let first = self.seams.partition_point(|pair| pair[0] < texel);
-        let across = self.seams[first..].iter().take_while(move |pair| pair[0] == texel).map(|pair| pair[1]);
+        let seams = if self.is_at_seam[texel as usize] { &self.seams[..] } else { &[] };
+        let first = seams.partition_point(|pair| pair[0] < texel);
+        let across = seams[first..].iter().take_while(move |pair| pair[0] == texel).map(|pair| pair[1]);
         self.beside[texel as usize].into_iter().filter(|&n| n != NONE).chain(across)
     }
 
@@ -65,10 +75,11 @@ impl Adjacency {
                 sets.join(a, b);
             }
         };
-        for i in 0..count as u32 {
-            self.around(i).for_each(|n| join(i, n));
+        // Each pair once: with the right and the lower neighbour, and from one side of seams.
+        for (i, [_, right, _, down]) in (0..).zip(&self.beside) {
+            [right, down].into_iter().filter(|n| **n != NONE).for_each(|n| join(i, *n));
         }
-        pairs.iter().for_each(|[a, b]| join(*a, *b));
+        self.seams.iter().filter(|[a, b]| a < b).chain(pairs).for_each(|[a, b]| join(*a, *b));
         let mut numbers = vec![NONE; count];
         let mut regions = 0;
         let numbered = (0..count as u32)

@@ -1,5 +1,7 @@
 //! Light sources: texels that send out more than they can reflect.
 
+use std::collections::BTreeSet;
+
 use super::adjacency::{Adjacency, NONE};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
@@ -11,7 +13,7 @@ use crate::raster::{Mask, Rgb, luminance, mean_of_channels};
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 
-/// The largest hole in light sources, as a share of all of them.
+/// The largest hole in a light source, as a share of it.
 const HOLE: f32 = 0.1;
 
 /// Finds the texels that send out more than an albedo of `ratio` would reflect, L > ratio · E/π, and stand out from
@@ -76,11 +78,14 @@ fn means(rooms: &[u16], values: impl Iterator<Item = f32>) -> Vec<f32> {
     sums.into_iter().map(|(sum, count)| (sum / f64::from(count.max(1))) as f32).collect()
 }
 
-/// Texels that what `shines` encloses on its surface, up to [`HOLE`] at a place: one pane does not shine but for a
-/// speck.
+/// Texels that what `shines` encloses on its surface, up to [`HOLE`] of it: one pane does not shine but for a speck.
 fn holes(adjacency: &Adjacency, shines: impl Fn(u32) -> bool) -> Vec<u32> {
     let texels = adjacency.beside.len() as u32;
-    let most = ((0..texels).filter(|&i| shines(i)).count() as f32 * HOLE) as usize;
+    let (source, count) = adjacency.regions(&[], |a, b| shines(a) && shines(b));
+    let mut sizes = vec![0u32; count];
+    (0..texels).filter(|&i| shines(i)).for_each(|i| sizes[source[i as usize] as usize] += 1);
+    let most = |sizes: &[u32]| (sizes.iter().map(|size| u64::from(*size)).sum::<u64>() as f32 * HOLE) as usize;
+    let most_of_all = most(&sizes);
     let mut place = vec![u32::MAX; texels as usize];
     let mut all = Vec::new();
     let beside_one = |i: &u32| adjacency.around(*i).any(&shines);
@@ -90,9 +95,14 @@ fn holes(adjacency: &Adjacency, shines: impl Fn(u32) -> bool) -> Vec<u32> {
         }
         place[first as usize] = first;
         let (mut hole, mut k, mut enclosed) = (vec![first], 0, true);
+        let mut around = BTreeSet::new();
         while enclosed && k < hole.len() {
-            enclosed = hole.len() <= most && !adjacency.beside[hole[k] as usize].contains(&NONE);
-            for n in adjacency.around(hole[k]).filter(|n| !shines(*n)) {
+            enclosed = hole.len() <= most_of_all && !adjacency.beside[hole[k] as usize].contains(&NONE);
+            for n in adjacency.around(hole[k]) {
+                if shines(n) {
+                    around.insert(source[n as usize]);
+                    continue;
+                }
                 // One that was looked at before was no hole.
                 enclosed &= [u32::MAX, first].contains(&place[n as usize]);
                 if place[n as usize] == u32::MAX {
@@ -102,7 +112,8 @@ fn holes(adjacency: &Adjacency, shines: impl Fn(u32) -> bool) -> Vec<u32> {
             }
             k += 1;
         }
-        if enclosed {
+        let around: Vec<u32> = around.into_iter().map(|source| sizes[source as usize]).collect();
+        if enclosed && hole.len() <= most(&around) {
             all.append(&mut hole);
         }
     }
@@ -121,8 +132,12 @@ fn sightings(
     let mut seen = vec![Vec::new(); texels.len()];
     for view in views {
         progress.check()?;
+        let projected = backend.project(&points, &view.camera)?;
+        if projected.iter().all(|at| at.distance <= 0.0) {
+            continue;
+        }
         let image = view.load_image(progress)?;
-        for (seen, at) in seen.iter_mut().zip(backend.project(&points, &view.camera)?) {
+        for (seen, at) in seen.iter_mut().zip(projected) {
             if at.distance > 0.0 {
                 let [x, y] = at.pixel.map(|c| c.max(0.0) as usize);
                 let shown = luminance(image.at(x.min(image.width - 1), y.min(image.height - 1)));
@@ -219,5 +234,9 @@ mod tests {
         // Open to the rest at one place; and as large as a thing of its own.
         assert_eq!(filled(&[[1, 3], [2, 3]]), [[0; 2]; 0]);
         assert_eq!(filled(&[[3, 3], [4, 3], [3, 4], [4, 4]]), [[0; 2]; 0]);
+        // Two panes: the hole is as large as a tenth of both, and more than a tenth of the one that it is in.
+        let column = 4;
+        let bar: Vec<[usize; 2]> = (1..SIDE - 1).map(|row| [column, row]).collect();
+        assert_eq!(filled(&[&bar[..], &[[2, 3], [2, 4]]].concat()), [[0; 2]; 0]);
     }
 }

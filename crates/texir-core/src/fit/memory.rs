@@ -79,14 +79,15 @@ pub fn affordable(
     let reduced = |view: &View| {
         (factor..=FARTHEST * factor).find_map(|factor| view.reduced(factor)).ok_or_else(|| {
             let (width, height) = (view.camera.width, view.camera.height);
-            Error::file(
-                &view.image,
+            let why = if factor > width.min(height) {
+                "which leaves nothing of it: raise fit.max_memory or fit.atlas_size".to_owned()
+            } else {
                 format!(
-                    "a panorama of {width}×{height} pixels must be reduced {factor} times, but no number near {factor} \
-                     divides both: resize the images so that one does, or raise fit.max_memory or \
-                     fit.atlas_size"
-                ),
-            )
+                    "but no number near {factor} divides both, as a panorama must stay whole: resize the images so that \
+                     one does, or raise fit.max_memory or fit.atlas_size"
+                )
+            };
+            Error::file(&view.image, format!("{width}×{height} pixels must be reduced {factor} times, {why}"))
         })
     };
     let mut read: Vec<View> = views.iter().map(reduced).collect::<Result<_>>()?;
@@ -224,6 +225,11 @@ mod tests {
         let odd = View { camera: Camera { width: 2 * 1021, height: 1021, ..view.camera }, ..view.clone() };
         let error = affordable(&[odd], place, &FitSettings::default(), &Silent).unwrap_err().to_string();
         assert!(error.contains("resize"), "{error}");
+        // Nor is anything left of photos that are narrower than the reduction.
+        let projection = Projection::Pinhole { fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 };
+        let narrow = View { camera: Camera { width: 2, height: 1 << 20, projection, ..view.camera }, ..view.clone() };
+        let error = affordable(&[narrow], place, &FitSettings::default(), &Silent).unwrap_err().to_string();
+        assert!(error.contains("leaves nothing"), "{error}");
     }
 
     #[test]

@@ -26,8 +26,8 @@ pub(super) struct Prepared {
     pub scale: f32,
 }
 
-/// The texture-based lighting that a capture brings, if it has the size that is asked for; else that of its training
-/// views.
+/// The atlas, the light and the views of a fit, scaled to about 1: the light is the texture that the capture brings, if
+/// it has the size that is asked for, else that of its training views.
 pub(super) fn prepare(
     backend: &mut dyn Backend,
     (given, mut training): (Option<&Path>, Vec<View>),

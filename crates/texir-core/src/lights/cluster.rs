@@ -15,9 +15,9 @@ pub fn clusters(mesh: &Mesh, triangles: Vec<u32>, power: &impl Fn(u32) -> f32) -
     let mut clusters = vec![Vec::new(); 6];
     triangles.into_iter().for_each(|t| clusters[facing(mesh.face_normal(t))].push(t));
     clusters.retain(|c| !c.is_empty());
+    let total = |cluster: &[u32]| cluster.iter().map(|&t| f64::from(power(t))).sum::<f64>();
     let spread = |cluster: &[u32]| {
-        let power: f32 = cluster.iter().map(|&t| power(t)).sum();
-        if cluster.len() > 1 { power * extent(mesh, cluster).length() } else { 0.0 }
+        if cluster.len() > 1 { total(cluster) as f32 * extent(mesh, cluster).length() } else { 0.0 }
     };
     let mut spreads: Vec<f32> = clusters.iter().map(|c| spread(c)).collect();
     while clusters.len() < CLUSTERS {
@@ -26,10 +26,10 @@ pub fn clusters(mesh: &Mesh, triangles: Vec<u32>, power: &impl Fn(u32) -> f32) -
             break;
         };
         sort_along_longest(mesh, &mut clusters[widest]);
-        let half = clusters[widest].iter().map(|&t| power(t)).sum::<f32>() / 2.0;
+        let half = total(&clusters[widest]) / 2.0;
         let mut sum = 0.0;
         let reaches_half = |&t: &u32| {
-            sum += power(t);
+            sum += f64::from(power(t));
             sum >= half
         };
         let last = clusters[widest].len() - 1;

@@ -41,7 +41,7 @@ impl Lights {
         let mut powers = Vec::new();
         for (cluster, members) in (0..).zip(cluster::clusters(mesh, shining, &power)) {
             let weights: Vec<f32> = members.iter().map(|&t| power(t)).collect();
-            let sum: f32 = weights.iter().sum();
+            let sum = weights.iter().map(|&weight| f64::from(weight)).sum::<f64>() as f32;
             for (&triangle, cdf) in members.iter().zip(cdf(&weights)) {
                 let pdf_area = luminance[triangle as usize] / sum;
                 lights.triangles.push(LightTriangle { triangle, cluster, cdf, pdf_area });

@@ -62,11 +62,11 @@ pub fn learn(mut lights: Lights, scene: &Scene, points: &[SurfacePoint]) -> Ligh
 
 /// A grid around the points.
 fn grid(scene: &Scene, points: &[SurfacePoint]) -> LightGrid {
-    let area: f32 = (0..scene.mesh().triangles.len() as u32).map(|t| scene.mesh().area(t)).sum();
+    let area: f64 = (0..scene.mesh().triangles.len() as u32).map(|t| f64::from(scene.mesh().area(t))).sum();
     let (low, high) = bounds(points.iter().map(|p| Vec3::from(p.position)));
     let size = |edge: f32| ((high - low) / edge).floor() + 1.0;
     let cells = CELLS.min(points.len() as f32 / TEXELS);
-    let mut edge = (area / cells).sqrt().max(f32::MIN_POSITIVE);
+    let mut edge = (area as f32 / cells).sqrt().max(f32::MIN_POSITIVE);
     while !(size(edge).element_product() <= GRID_CELLS) {
         edge *= 1.25;
     }

@@ -97,8 +97,13 @@ impl Fusion<'_> {
             let mut best = vec![Best::default(); points.len()];
             for (i, camera) in cameras.iter().enumerate() {
                 progress.check()?;
-                let photo = load(i)?;
                 let projected = backend.project(points, camera)?;
+                progress.advance(points.len() as u64);
+                // Most views of a large capture see none of these.
+                if projected.iter().all(|at| at.distance <= 0.0) {
+                    continue;
+                }
+                let photo = load(i)?;
                 let sampler = Sampler::new(backend, camera, &photo, options)?;
                 best.par_iter_mut().zip(points).zip(&projected).for_each(|((best, point), at)| {
                     let area = atlas.texel_area(scene.mesh(), point.triangle);
@@ -106,7 +111,6 @@ impl Fusion<'_> {
                         best.add(observation);
                     }
                 });
-                progress.advance(points.len() as u64);
             }
             blended.par_extend(best.par_iter().map(|best| best.blend(options)));
         }

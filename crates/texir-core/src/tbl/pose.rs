@@ -89,7 +89,7 @@ pub(super) struct Picture {
 }
 
 impl Picture {
-    /// What a camera sees: the mean of the channels, which is about 1 in `unit`.
+    /// What a camera sees: the mean of the channels, times `scale` about 1.
     pub(super) fn new(camera: Camera, means: &Gray, scale: f32) -> Self {
         Self { camera, log: Arc::new(means.map(|mean| (scale * mean + BLACK).ln())) }
     }
@@ -249,9 +249,8 @@ impl<'a> Compared<'a> {
     fn difference(&self) -> f64 {
         let views = 0..self.pictures.len();
         let of_view = |view: usize| -> Vec<f64> {
-            let difference = |i: usize| Some(self.shown[view][i] - others(&self.shown, view, i)?);
-            let points = (0..self.points.len()).into_par_iter().filter_map(difference);
-            points.filter(|difference| difference.is_finite()).map(robust).collect()
+            let difference = |i: usize| Some(robust(self.shown[view][i] - others(&self.shown, view, i)?));
+            shown_in(&self.shown[view]).filter_map(difference).collect()
         };
         let all: Vec<f64> = views.flat_map(of_view).collect();
         all.iter().sum::<f64>() / all.len() as f64
@@ -284,8 +283,13 @@ impl<'a> Compared<'a> {
     /// What a picture should show of the points that it does show.
     fn predictions(&self, view: usize) -> Vec<Prediction> {
         let others = |i: usize| Some((Vec3::from(self.points[i].position), others(&self.shown, view, i)?));
-        (0..self.points.len()).into_par_iter().filter(|&i| self.shown[view][i].is_finite()).filter_map(others).collect()
+        shown_in(&self.shown[view]).filter_map(others).collect()
     }
+}
+
+/// The points of which this picture shows ln L.
+fn shown_in(logs: &[f32]) -> impl ParallelIterator<Item = usize> {
+    (0..logs.len()).into_par_iter().filter(|&i| logs[i].is_finite())
 }
 
 /// The median of the ln L that the other views show of point `i`, if any does.
@@ -296,6 +300,6 @@ fn others(shown: &[Vec<f32>], view: usize, i: usize) -> Option<f32> {
 
 /// By how much a view is brighter than the others, in ln L: the median over the points that it shows with them.
 fn exposure(shown: &[Vec<f32>], view: usize) -> f32 {
-    let brighter = |i: usize| Some(shown[view][i] - others(shown, view, i)?).filter(|brighter| brighter.is_finite());
-    median(&mut (0..shown[view].len()).filter_map(brighter).collect::<Vec<f32>>()).unwrap_or(0.0)
+    let brighter = |i: usize| Some(shown[view][i] - others(shown, view, i)?);
+    median(&mut shown_in(&shown[view]).filter_map(brighter).collect::<Vec<f32>>()).unwrap_or(0.0)
 }

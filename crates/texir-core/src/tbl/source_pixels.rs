@@ -26,6 +26,9 @@ const RAYS: (f32, f32) = (4.0, 16.0);
 /// Rays through a pixel per texel that it shows, along each axis: none shall be missed.
 const RAYS_PER_TEXEL: f32 = 1.5;
 
+/// Texels count as no wider than this many pixels, where images are far finer than the texture.
+const WIDEST: f32 = 16.0;
+
 /// What the pixels at and beside light sources show, as far as they were looked at: by view, and by index in its image.
 pub(super) struct SourcePixels(Vec<BTreeMap<usize, SourcePixel>>);
 
@@ -65,7 +68,7 @@ impl SourcePixels {
                 let area = atlas.texel_area(scene.mesh(), point.triangle);
                 let texels = at.distance / (area * at.cosine * pixels_per_steradian(camera)).sqrt();
                 let needed = (RAYS_PER_TEXEL * texels).ceil().clamp(RAYS.0, RAYS.1) as u8;
-                for pixel in around(camera, at.pixel) {
+                for pixel in around(camera, at.pixel, area.sqrt() / at.distance) {
                     let rays = asked.entry(pixel).or_default();
                     *rays = needed.max(*rays);
                 }
@@ -93,9 +96,17 @@ impl SourcePixels {
     }
 }
 
-/// The pixel at continuous coordinates and its eight neighbours.
-fn around(camera: &Camera, [x, y]: [f32; 2]) -> impl Iterator<Item = usize> {
-    (0..9).filter_map(move |k| camera.pixel(x as i64 + k % 3 - 1, y as i64 + k / 3 - 1))
+/// The pixels that show a texel, `angle` radians wide, at continuous coordinates, and those beside them: at least nine,
+/// and more columns near the poles of a panorama, where they are crowded.
+fn around(camera: &Camera, [x, y]: [f32; 2], angle: f32) -> impl Iterator<Item = usize> {
+    let (x, y, angle) = (x as i64, y as i64, angle.min(WIDEST * camera.pixel_angle()));
+    // Rounded: a texel narrower than a pixel takes none but the nine.
+    let reach = move |pixels_per_radian: f32| 1 + (0.5 * angle * pixels_per_radian).round() as i64;
+    let rows = reach(1.0 / camera.pixel_angle());
+    (y - rows..=y + rows).flat_map(move |row| {
+        let columns = reach(camera.pixels_per_radian(row as f32 + 0.5).x).min(camera.width as i64 / 2);
+        (x - columns..=x + columns).filter_map(move |column| camera.pixel(column, row))
+    })
 }
 
 /// See [`SourcePixel::shares`].
@@ -119,4 +130,50 @@ fn shares(fusion: &Fusion<'_>, view: usize, index: &TexelIndex, pixel: usize, ra
     merge(&mut taps);
     taps.iter_mut().for_each(|tap| tap.weight *= shown);
     taps
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use glam::Mat4;
+
+    use super::*;
+    use crate::camera::Projection;
+
+    #[test]
+    fn the_pixels_of_a_texel_and_those_beside_them_are_looked_at() {
+        let (width, height) = (512, 256);
+        let projection = Projection::Equirectangular;
+        let camera = Camera { projection, width, height, world_from_camera: Mat4::IDENTITY };
+        let extent = |[x, y]: [f32; 2], pixels: f32| {
+            let looked: BTreeSet<usize> = around(&camera, [x, y], pixels * camera.pixel_angle()).collect();
+            let columns: BTreeSet<usize> = looked.iter().map(|p| p % width).collect();
+            let rows: BTreeSet<usize> = looked.iter().map(|p| p / width).collect();
+            assert_eq!(looked.len(), columns.len() * rows.len());
+            [columns.len(), rows.len()]
+        };
+        let horizon = [100.5, 128.5];
+        assert_eq!(extent(horizon, 0.3), [3, 3]);
+        // A texel of 4.2 pixels covers 2.1 to either side of its centre, and one pixel more is beside it.
+        assert_eq!(extent(horizon, 4.2), [7, 7]);
+        assert_eq!(extent(horizon, 1000.0), [19, 19]);
+        assert_eq!(extent([0.5, 128.5], 0.3), [3, 3], "over the seam");
+    }
+
+    #[test]
+    fn a_texel_near_the_pole_of_a_panorama_takes_the_columns_that_it_spans() {
+        let (width, height) = (512, 256);
+        let projection = Projection::Equirectangular;
+        let camera = Camera { projection, width, height, world_from_camera: Mat4::IDENTITY };
+        let angle = 0.3 * camera.pixel_angle();
+        let [x, y] = [100.5, 1.5];
+        let spans = 0.5 * angle * camera.pixels_per_radian(y).x;
+        assert!(spans > 4.0, "{spans}");
+        let in_row: BTreeSet<usize> =
+            around(&camera, [x, y], angle).filter(|pixel| pixel / width == y as usize).collect();
+        let missed = (0..width).filter(|column| (*column as f32 + 0.5 - x).abs() <= spans + 0.5);
+        let missed: Vec<usize> = missed.filter(|column| !in_row.contains(&(y as usize * width + column))).collect();
+        assert!(missed.is_empty(), "{missed:?}");
+    }
 }

@@ -248,7 +248,7 @@ pub(super) mod tests {
             if inside { (y * columns + x) as u32 } else { NONE }
         };
         let beside = |t: i32| [(-1, 0), (1, 0), (0, -1), (0, 1)].map(|(dx, dy)| at(t % columns + dx, t / columns + dy));
-        Adjacency { beside: (0..columns * rows).map(beside).collect(), seams: Vec::new() }
+        Adjacency::of((0..columns * rows).map(beside).collect(), Vec::new())
     }
 
     fn is_joint(t: usize) -> bool {

@@ -78,7 +78,7 @@ impl Blocks {
 /// patch.
 pub fn group_pixels(pixels: &[usize], patches: &[Patch], squares: Squares) -> Blocks {
     let mut order: Vec<usize> = (0..pixels.len()).collect();
-    order.sort_by_key(|&i| squares.of(pixels[i]));
+    order.sort_by_cached_key(|&i| squares.of(pixels[i]));
     let (mut of, mut places) = (vec![0; pixels.len()], Vec::new());
     let (mut corners, mut first_patches) = (Vec::new(), Vec::new());
     for members in order.chunk_by(|&a, &b| squares.of(pixels[a]) == squares.of(pixels[b])) {

@@ -229,8 +229,7 @@ impl Observer<'_> {
             (0..camera.pixels()).into_par_iter().filter(|&pixel| usable.data[pixel]).filter_map(seen).collect();
         let mut left_out = vec![true; camera.pixels()];
         pixels.iter().for_each(|seen| left_out[seen.pixel] = false);
-        let near_excluded =
-            exclusion::dilate(camera, &left_out, exclusion::reach(self.settings.roughness.exclusion_margin, camera));
+        let near_excluded = exclusion::dilate(camera, &left_out, self.settings.roughness.exclusion_margin);
         pixels.iter_mut().for_each(|seen| seen.near_excluded = near_excluded[seen.pixel]);
         pixels
     }

@@ -121,7 +121,7 @@ pub(super) mod tests {
             points: (0..texels).map(point).collect(),
             inside: vec![true; texels],
         };
-        (atlas, Adjacency { beside: (0..texels).map(beside).collect(), seams: vec![] })
+        (atlas, Adjacency::of((0..texels).map(beside).collect(), Vec::new()))
     }
 
     #[test]

@@ -171,7 +171,7 @@ mod tests {
         let beside = (0..count)
             .map(|i| [if i > 0 { i - 1 } else { NONE }, if i + 1 < count { i + 1 } else { NONE }, NONE, NONE])
             .collect();
-        Adjacency { beside, seams: vec![] }
+        Adjacency::of(beside, Vec::new())
     }
 
     #[test]
