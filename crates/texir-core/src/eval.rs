@@ -1,8 +1,8 @@
 //! The evaluation protocol (method section 6): how far recovered materials and re-rendered views are from the truth.
 //!
 //! Images and albedo are compared after [`metrics::encode`], roughness as it is; the mask leaves light sources out.
-//! Radiance is encoded as it is, unless that would be white or black throughout (a capture in nits). PSNR comes from
-//! the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to 0 on both
+//! Radiance is encoded as it is, unless that would be white or black for the most part (a capture in nits). PSNR comes
+//! from the mean MSE over views; SSIM is the mean over views of the full image with masked-out pixels set to 0 on both
 //! sides. Images are box-filtered over the pixel; true albedo and roughness are those at its centre, as renderers write
 //! them, and so are the recovered ones that they are compared with. Where the capture has true textures, they go
 //! through the same lookup, light and renderer.
