@@ -107,7 +107,7 @@ fn a_dim_room_beside_a_sunlit_yard_has_all_of_its_light() {
         atlas.points.iter().map(|point| [if in_yard(point) { 0.0 } else { emission }; 3]).collect();
     let surfaces = Surfaces {
         albedo: Rgb::filled(96, 96, [albedo; 3]),
-        emission: atlas.scatter_padded(&glows, &vec![true; glows.len()], [0.0; 3], PADDING),
+        emission: atlas.scatter_padded(&glows, &vec![true; glows.len()], [0.0; 3], PADDING).unwrap(),
         lights: vec![PunctualLight::distant([0.0, -1.0, 0.0], [1e5; 3])],
         environment: None,
     };

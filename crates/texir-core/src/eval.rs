@@ -315,7 +315,7 @@ impl<'a> Subject<'a> {
             Some(truth) => compare(&surfaces.roughness, truth, &mask)?,
             None => None,
         };
-        let known = mask.and(&observed.image.finite());
+        let known = mask.and(&observed.image.finite())?;
         let image = compare(&encoded(&rendered), &encoded(&observed.image), &known)?;
         self.views.push(Scores { albedo, roughness, image });
         Ok(SubjectView { rendered, surfaces, mask, albedo_scale })

@@ -110,8 +110,10 @@ pub struct Renderer<'a> {
 
 impl<'a> Renderer<'a> {
     /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given in a unit
-    /// in which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least.
+    /// in which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least. Errors on lighting
+    /// that [`Backend::set_tbl`] refuses in that unit.
     pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
+        radiance.check("the texture-based lighting")?;
         let atlas = Atlas::new(backend, radiance.size())?;
         let scene = backend.scene().clone();
         let of_texel = |texel: &u32| f64::from(mean_of_channels(radiance.data[*texel as usize]));

@@ -93,11 +93,6 @@ impl Surfaces {
         if !channel(&self.emission, |v| (0.0..=MAX_RADIANCE).contains(v)) {
             return Err(Error::invalid(format!("the emission map leaves [0, {MAX_RADIANCE:e}]; expected radiance")));
         }
-        if self.environment.as_ref().is_some_and(|sky| !channel(sky.radiance(), |v| *v <= MAX_RADIANCE)) {
-            return Err(Error::invalid(format!(
-                "the environment is brighter than {MAX_RADIANCE:e}; expected radiance"
-            )));
-        }
         self.lights.iter().try_for_each(PunctualLight::check)
     }
 

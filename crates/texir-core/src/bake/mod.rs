@@ -70,7 +70,7 @@ impl Baked {
             )));
         }
         let known: Vec<bool> = self.buried.iter().map(|inside| !inside || buried == Buried::Keep).collect();
-        Ok(atlas.scatter_padded(&self.irradiance, &known, [0.0; 3], PADDING))
+        atlas.scatter_padded(&self.irradiance, &known, [0.0; 3], PADDING)
     }
 }
 

@@ -235,3 +235,11 @@ fn light_may_be_in_any_unit() {
         assert!(off < 1e-4, "{off} in a unit of 2^-{exponent}");
     }
 }
+
+#[test]
+fn lighting_without_its_pixels_is_refused() {
+    let (scene, radiance) = scene();
+    let short = Rgb { data: radiance.data[1..].to_vec(), ..radiance };
+    let error = Renderer::new(&mut CpuBackend::new(scene), &short, 96, 1).err().unwrap().to_string();
+    assert!(error.contains("expected one for each of its"), "{error}");
+}
