@@ -1,6 +1,7 @@
 //! Light from far away: the radiance that rays see which leave the scene, and its bright parts as a sampled set.
 
 use std::f64::consts::{PI, TAU};
+use std::hash::{Hash, Hasher};
 
 use bytemuck::{Pod, Zeroable, cast_slice};
 
@@ -18,6 +19,13 @@ use crate::real::{Real, V3};
 pub struct Environment {
     radiance: Rgb,
     bright: BrightPixels,
+}
+
+impl Hash for Environment {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        // What is sampled follows from it.
+        cast_slice::<_, u8>(&self.radiance.data).hash(state);
+    }
 }
 
 /// The pixels of a panorama that stand out (a sun, its surroundings, lit windows), drawn in proportion to luminance ×

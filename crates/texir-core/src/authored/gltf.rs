@@ -6,7 +6,6 @@
 //! warning.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::f32::consts::FRAC_PI_2;
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
@@ -39,7 +38,7 @@ const LOOKUPS: usize = 2;
 /// Normals against the front are told of where they are on more than this share of the surface.
 const FEW: f64 = 1e-3;
 
-/// Angles in files may be off by so many radians, from degrees with few digits.
+/// Reflectances in files may be above 1 by so much, from few digits.
 const ROUNDED: f32 = 1e-3;
 
 /// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only
@@ -146,7 +145,7 @@ pub fn read_gltf(
             }
         }
         if let Some(light) = node.light() {
-            let light = punctual(&light, world_from_node).and_then(|light| light.check().map(|()| light));
+            let light = punctual(&light, world_from_node);
             lights.push(light.map_err(|e| Error::file(path, format!("the light of node {}: {e}", node.index())))?);
         }
         Ok(())
@@ -419,24 +418,14 @@ fn punctual(light: &gltf::khr_lights_punctual::Light, world_from_node: Mat4) -> 
     let position = world_from_node.w_axis.truncate().to_array();
     let direction = world_from_node.transform_vector3(Vec3::NEG_Z).normalize_or(Vec3::NEG_Z).to_array();
     let intensity = light.color().map(|c| c * light.intensity());
-    let near = match light.kind() {
-        Kind::Directional => return Ok(PunctualLight::distant(direction, intensity)),
-        Kind::Point => PunctualLight::point(position, intensity),
+    let range = light.range();
+    let light = match light.kind() {
+        Kind::Directional => PunctualLight::Distant { direction, irradiance: intensity },
+        Kind::Point => PunctualLight::Point { position, intensity, range },
         Kind::Spot { inner_cone_angle, outer_cone_angle } => {
-            check_cone(inner_cone_angle, outer_cone_angle)?;
-            PunctualLight::spot(position, direction, intensity, [inner_cone_angle, outer_cone_angle])
+            PunctualLight::Spot { position, direction, intensity, range, inner_cone_angle, outer_cone_angle }
         }
     };
-    Ok(light.range().map_or(near, |range| near.with_range(range)))
-}
-
-/// Errors on angles of a spot by which it would shine nowhere, or behind itself.
-fn check_cone(inner: f32, outer: f32) -> Result<()> {
-    if 0.0 <= inner && inner <= outer + ROUNDED && outer <= FRAC_PI_2 + ROUNDED {
-        return Ok(());
-    }
-    Err(Error::invalid(format!(
-        "spot.innerConeAngle is {inner}, spot.outerConeAngle {outer}; expected radians from the spot's axis, 0 ≤ innerConeAngle ≤ \
-         outerConeAngle ≤ π/2"
-    )))
+    light.check()?;
+    Ok(light)
 }

@@ -601,7 +601,7 @@ fn spots_without_a_cone_are_refused() {
     for (inner, outer) in [(0.75, 0.5), (0.5, 2.0), (-0.5, 0.5)] {
         let error = read(inner, outer).unwrap_err();
         for part in
-            ["scene.gltf: the light of node 1", &format!("innerConeAngle is {inner}"), &format!("{outer}; expected")]
+            ["scene.gltf: the light of node 1", &format!("inner_cone_angle is {inner}"), &format!("{outer}; expected")]
         {
             assert!(error.contains(part), "{part:?} is not in: {error}");
         }
@@ -738,7 +738,15 @@ fn a_spot_of_a_file_has_its_cone_and_its_range() {
     std::fs::write(&scene, document.to_string()).unwrap();
     let lights = read_gltf(&scene, 16, BounceAlbedo::Diffuse, &Silent).unwrap().lights;
     let [light] = &lights[..] else { panic!("{lights:?}") };
-    let expected = PunctualLight::spot(light.position, light.direction, [8.0, 4.0, 2.0], [0.25, 0.5]).with_range(9.0);
+    let PunctualLight::Spot { position, direction, .. } = *light else { panic!("{light:?}") };
+    let expected = PunctualLight::Spot {
+        position,
+        direction,
+        intensity: [8.0, 4.0, 2.0],
+        range: Some(9.0),
+        inner_cone_angle: 0.25,
+        outer_cone_angle: 0.5,
+    };
     assert_eq!(*light, expected);
 }
 

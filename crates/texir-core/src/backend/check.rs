@@ -77,7 +77,10 @@ pub fn specular_tables(sampling: TableSampling) -> Result<()> {
 
 /// That lights are possible ones.
 pub fn punctual(lights: &[PunctualLight]) -> Result<()> {
-    lights.iter().try_for_each(PunctualLight::check)
+    let possible = |(i, light): (usize, &PunctualLight)| {
+        light.check().map_err(|what| Error::invalid(format!("light {i}: {what}")))
+    };
+    lights.iter().enumerate().try_for_each(possible)
 }
 
 /// That every point has a material, and none is a perfect mirror, of which no density can be sampled.

@@ -161,6 +161,7 @@ impl Backend for CpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         check::punctual(lights)?;
+        let lights: Vec<_> = lights.iter().map(PunctualLight::coefficients).collect();
         map_in_chunks(points, progress, lights.len() as u64, |_, point| {
             let sum = |sum, light| sum + punctual::punctual::<f32>(&*self.scene, light, point);
             lights.iter().fold(V3::zero(), sum).to_f32()

@@ -109,8 +109,8 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let (texels, surfaces) =
         prepare(backend.as_mut(), &model, environment, workspace, (bake, session)).inspect_err(|_| bake.clean_up())?;
     let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
-    let settings = (backend.name(), width, height, bounces.quality);
-    let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
+    let identity = surfaces.identity(backend.as_ref(), &bounces.quality);
+    let checkpoints = Checkpoints::open(&bake.partial(), &identity, session.console)?;
     let light = Light { texels, surfaces, bounces };
     let summary = bake_texels(backend.as_mut(), &model, light, &checkpoints, (bake, session))
         .inspect_err(|failure| session.note_resume(failure, &checkpoints, &bake.partial()))?;
