@@ -2,6 +2,7 @@
 
 mod crowded;
 
+use std::fmt;
 use std::ops::Range;
 
 use glam::Vec2;
@@ -242,6 +243,12 @@ pub struct TexelIndex {
     width: usize,
     height: usize,
     index: Vec<u32>,
+}
+
+impl fmt::Debug for TexelIndex {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("TexelIndex").field("size", &[self.width, self.height]).finish_non_exhaustive()
+    }
 }
 
 impl TexelIndex {

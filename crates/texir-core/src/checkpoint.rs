@@ -6,6 +6,7 @@
 //! again.
 
 use std::collections::{BTreeMap, HashMap};
+use std::fmt;
 use std::fs::{self, File, TryLockError};
 use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};
@@ -68,6 +69,13 @@ pub struct Array<'a> {
     bytes: &'a [u8],
 }
 
+impl fmt::Debug for Array<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scalar, shape, .. } = self;
+        f.debug_struct("Array").field("scalar", scalar).field("shape", shape).finish_non_exhaustive()
+    }
+}
+
 impl<'a, T: Element> From<&'a [T]> for Array<'a> {
     fn from(values: &'a [T]) -> Self {
         let scalars = 8 * size_of::<T>() / T::SCALAR.bitsize();
@@ -77,6 +85,12 @@ impl<'a, T: Element> From<&'a [T]> for Array<'a> {
 
 /// The arrays of a step, as they were kept.
 pub struct Step(Vec<u8>);
+
+impl fmt::Debug for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Step").field("bytes", &self.0.len()).finish_non_exhaustive()
+    }
+}
 
 impl Step {
     /// The array `name`; `None` where it is missing or of another type.

@@ -131,6 +131,7 @@ pub struct Evaluation {
 }
 
 /// One evaluated view, handed to whoever wants to show it.
+#[derive(Debug)]
 pub struct Evaluated<'a> {
     /// The view.
     pub view: &'a View,

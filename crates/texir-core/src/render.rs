@@ -8,6 +8,7 @@ mod mipmapped;
 
 use std::borrow::Cow;
 use std::f32::consts::FRAC_1_PI;
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -106,6 +107,14 @@ pub struct Renderer<'a> {
     rays: u32,
     seed: u32,
     pyramids: Vec<Arc<Pyramid>>,
+}
+
+impl fmt::Debug for Renderer<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scene, rays, seed, .. } = self;
+        let mut renderer = f.debug_struct("Renderer");
+        renderer.field("scene", scene).field("rays", rays).field("seed", seed).finish_non_exhaustive()
+    }
 }
 
 impl<'a> Renderer<'a> {

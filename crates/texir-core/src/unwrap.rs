@@ -90,6 +90,7 @@ pub(crate) fn unwrap(
 }
 
 /// A mesh with a square atlas of its own.
+#[derive(Debug)]
 pub struct UnwrappedMesh {
     /// The same triangles in the same order; vertices on the borders of charts are there once per chart.
     pub mesh: Mesh,

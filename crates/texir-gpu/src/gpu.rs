@@ -1,5 +1,6 @@
 //! A device to run on: owned (headless) or borrowed from a host program.
 
+use std::fmt;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,6 +18,19 @@ pub struct Gpu {
     rejected_adapters: Arc<[String]>,
     kernels: Arc<Mutex<Kernels>>,
 }
+
+impl fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut gpu = f.debug_struct("Gpu");
+        gpu.field("info", &self.info).field("rejected_adapters", &self.rejected_adapters).finish_non_exhaustive()
+    }
+}
+
+// Programs keep it beside their own device, which threads share.
+const _: () = {
+    const fn is_shared<T: Send + Sync>() {}
+    is_shared::<Gpu>();
+};
 
 /// The longest time between two questions whether the device is done.
 const MAX_POLL_INTERVAL: Duration = Duration::from_millis(1);

@@ -6,6 +6,7 @@
 //! warning.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
@@ -110,6 +111,18 @@ pub struct Model {
     /// By document index, glTF's default material last.
     shading: Vec<Shading>,
     images: Images,
+}
+
+impl fmt::Debug for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { mesh, size, lights, parts, .. } = self;
+        f.debug_struct("Model")
+            .field("triangles", &mesh.triangles.len())
+            .field("size", size)
+            .field("lights", lights)
+            .field("parts", &parts.len())
+            .finish_non_exhaustive()
+    }
 }
 
 /// Reads a scene whose lightmap is to have `size` columns.

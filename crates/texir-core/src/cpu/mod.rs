@@ -23,6 +23,7 @@ pub mod texels;
 #[cfg(test)]
 mod tests;
 
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -57,6 +58,18 @@ pub struct CpuBackend {
     scene: Arc<Scene>,
     tbl: Option<(Rgb, Lights)>,
     environment: Option<Environment>,
+}
+
+impl fmt::Debug for CpuBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let radiance = self.tbl.as_ref().map(|(radiance, _)| radiance.size());
+        let environment = self.environment.as_ref().map(|environment| environment.radiance().size());
+        f.debug_struct("CpuBackend")
+            .field("scene", &self.scene)
+            .field("radiance", &radiance)
+            .field("environment", &environment)
+            .finish()
+    }
 }
 
 impl CpuBackend {
