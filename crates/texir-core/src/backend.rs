@@ -282,7 +282,8 @@ pub trait Backend {
     /// [`Backend::specular_tables`] ignores it.
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
-    /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres.
+    /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres. Errors
+    /// on a camera that fails [`Camera::check`], as [`Backend::project`] does.
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>>;
 
     /// Texel map: which surface point each texel in some `rows` of an atlas of `[width, height]` texels is, row by row.

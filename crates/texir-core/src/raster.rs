@@ -103,9 +103,9 @@ impl<T> Raster<T> {
 
 impl<T: Copy> Raster<T> {
     /// An array with one value, made by `one`, of every square of `factor` × `factor`; what does not fill a square is
-    /// cut off.
+    /// cut off. Factors of 0 and 1 leave it as it is.
     pub fn reduced(self, factor: usize, one: impl Fn(&[T]) -> T) -> Self {
-        if factor == 1 {
+        if factor <= 1 {
             return self;
         }
         let (width, height) = (self.width / factor, self.height / factor);

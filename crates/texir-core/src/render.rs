@@ -175,7 +175,7 @@ impl<'a> Renderer<'a> {
 
     /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Mipmapped<'_>) -> Result<GBuffer> {
-        indexable(camera)?;
+        camera.check()?;
         let scene = self.scene.clone();
         textures.check(&scene)?;
         let seen = |hit: &Hit| match hit.is_hit() {
@@ -219,6 +219,7 @@ impl<'a> Renderer<'a> {
         textures: [&Mipmapped<'_>; N],
         progress: &dyn Progress,
     ) -> Result<[Rgb; N]> {
+        camera.check()?;
         let fine = camera.supersampled(SUB_PIXELS);
         indexable(&fine)?;
         let scene = self.scene.clone();
@@ -293,7 +294,7 @@ impl<'a> Renderer<'a> {
     }
 }
 
-/// Pixels are numbered in 32 bits.
+/// Sub-pixels are numbered in 32 bits.
 fn indexable(camera: &Camera) -> Result<()> {
     let Camera { width, height, .. } = camera;
     u32::try_from(camera.pixels()).map(|_| ()).map_err(|_| {

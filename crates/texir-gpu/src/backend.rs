@@ -133,7 +133,7 @@ impl Backend for GpuBackend {
     }
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
-        countable(camera.pixels())?;
+        camera.check()?;
         check::rows(&rows, camera.height)?;
         self.pass("primary", |b| primary::run(&mut b.context, &b.geometry, camera, rows))
     }
@@ -180,6 +180,7 @@ impl Backend for GpuBackend {
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
         countable(points.len())?;
+        camera.check()?;
         self.pass("project", |b| project::run(&mut b.context, &b.geometry, points, camera))
     }
 

@@ -134,6 +134,7 @@ impl Backend for CpuBackend {
     }
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
+        camera.check()?;
         check::rows(&rows, camera.height)?;
         let hit = |i: usize| {
             primary::primary::<f32>(&*self.scene, camera, i % camera.width, i / camera.width)
@@ -187,6 +188,7 @@ impl Backend for CpuBackend {
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
+        camera.check()?;
         Ok(points.par_iter().map(|p| project::project::<f32>(&*self.scene, camera, p)).collect())
     }
 
