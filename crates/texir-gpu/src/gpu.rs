@@ -95,6 +95,12 @@ impl Gpu {
     /// software; `adapter` keeps only those whose name contains it (case does not matter). A program needs one, and
     /// clones of it: NVIDIA's driver can hang where one of several devices is dropped while others work.
     pub fn headless(adapter: Option<&str>) -> Result<Self> {
+        // Without one, wgpu panics.
+        if wgpu::Instance::enabled_backend_features().is_empty() {
+            return Err(Error::device(
+                "no graphics API was compiled in: build texir-gpu with its feature vulkan, metal or dx12, or wgpu with another",
+            ));
+        }
         let instance = instance().lock().unwrap_or_else(PoisonError::into_inner);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         let found: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
