@@ -38,6 +38,8 @@ pub use self::gltf::{BounceAlbedo, Model, read_gltf};
 pub use self::series::Remainder;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
+pub use self::unfinished::BounceLimit;
+#[cfg(feature = "files")]
 pub use self::unlit::unlit;
 use crate::backend::{Backend, MAX_RADIANCE, check};
 use crate::bake::{self, Quality, Texels};
