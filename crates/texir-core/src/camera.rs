@@ -44,7 +44,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Errors on an image without pixels or of more than 32 bits number, on numbers of the projection that are not finite
+    /// Errors on an image without pixels or with 2³² of them or more, on numbers of the projection that are not finite
     /// or focal lengths of 0, and on a pose that is not rigid: one that scales, shears or mirrors would be projected
     /// wrongly.
     pub fn check(&self) -> Result<()> {
@@ -62,7 +62,9 @@ impl Camera {
                 "the camera's pinhole has fx {fx}, fy {fy}, cx {cx}, cy {cy}; expected finite pixels, fx and fy not 0"
             )));
         }
-        if !pose.is_finite() || pose.row(3) != Vec4::W {
+        // An inverse may be off by rounding.
+        let is_affine = (pose.row(3) - Vec4::W).abs().max_element() <= ORTHONORMAL_TOLERANCE as f32;
+        if !pose.is_finite() || !is_affine {
             return Err(Error::invalid(format!(
                 "the camera's world_from_camera is {pose}; expected finite numbers, and 0, 0, 0, 1 as its last row"
             )));
@@ -268,6 +270,7 @@ mod tests {
         let turned = Mat4::from_rotation_translation(glam::Quat::from_rotation_y(0.7), Vec3::new(1.0, -2.0, 0.5));
         let good = Camera { projection: pinhole, width: 64, height: 32, world_from_camera: turned };
         good.check().unwrap();
+        Camera { world_from_camera: turned.inverse(), ..good }.check().unwrap();
         let posed = |pose: Mat4| Camera { world_from_camera: pose, ..good };
         let lens = |fx: f32, cx: f32| Camera { projection: Projection::Pinhole { fx, fy: 1.0, cx, cy: 0.0 }, ..good };
         for (bad, what) in [
