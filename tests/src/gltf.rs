@@ -6,7 +6,7 @@ use glam::{Mat4, Vec2, Vec3};
 use serde_json::{Value, json};
 
 /// A document as it grows: one buffer inside a data URI, one node per surface.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Document {
     bytes: Vec<u8>,
     views: Vec<Value>,

@@ -12,7 +12,7 @@ use texir_core::raster::Rgb;
 const CHARTS: usize = 12;
 
 /// Collects quads and triangles, each with a chart of its own.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Builder {
     mesh: Mesh,
     charts: usize,

@@ -107,8 +107,8 @@ fn a_dim_room_beside_a_sunlit_yard_has_all_of_its_light() {
         atlas.points.iter().map(|point| [if in_yard(point) { 0.0 } else { emission }; 3]).collect();
     let surfaces = Surfaces {
         albedo: Rgb::filled(96, 96, [albedo; 3]),
-        emission: atlas.scatter_padded(&glows, &vec![true; glows.len()], [0.0; 3], PADDING),
-        lights: vec![PunctualLight::distant([0.0, -1.0, 0.0], [1e5; 3])],
+        emission: atlas.scatter_padded(&glows, &vec![true; glows.len()], [0.0; 3], PADDING).unwrap(),
+        lights: vec![PunctualLight::Distant { direction: [0.0, -1.0, 0.0], irradiance: [1e5; 3] }],
         environment: None,
     };
     let tolerance = 5e-3;
@@ -414,8 +414,8 @@ fn a_point_light_above_a_plane_follows_the_square_law() {
         document.material([0.5; 3], [0.0; 3]);
         document.light(json!({ "type": "directional", "intensity": 3.0 }), Mat4::from_rotation_x(turn));
         let light = load(&document, 8).lights[0];
-        assert_eq!(light.direction[1] < -0.99, lit, "{light:?}");
-        assert_eq!((light.distant, light.intensity), (true, [3.0; 3]));
+        let PunctualLight::Distant { direction, irradiance } = light else { panic!("{light:?}") };
+        assert_eq!((direction[1] < -0.99, irradiance), (lit, [3.0; 3]), "{light:?}");
     }
 }
 

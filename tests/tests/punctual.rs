@@ -59,13 +59,20 @@ fn lights() -> Vec<(PunctualLight, Law)> {
     fn sun(_: DVec3) -> f64 {
         100.0 * 0.8
     }
-    let (at, intensity) = (ABOVE.as_vec3().to_array(), [100.0; 3]);
-    let point = PunctualLight::point(at, intensity);
+    let (position, intensity) = (ABOVE.as_vec3().to_array(), [100.0; 3]);
+    let spot = PunctualLight::Spot {
+        position,
+        direction: [0.0, -1.0, 0.0],
+        intensity,
+        range: None,
+        inner_cone_angle: 0.3,
+        outer_cone_angle: 0.6,
+    };
     vec![
-        (point, open),
-        (point.with_range(4.0), ranged),
-        (PunctualLight::spot(at, [0.0, -1.0, 0.0], intensity, [0.3, 0.6]), cone),
-        (PunctualLight::distant([0.6, -0.8, 0.0], intensity), sun),
+        (PunctualLight::Point { position, intensity, range: None }, open),
+        (PunctualLight::Point { position, intensity, range: Some(4.0) }, ranged),
+        (spot, cone),
+        (PunctualLight::Distant { direction: [0.6, -0.8, 0.0], irradiance: intensity }, sun),
     ]
 }
 
@@ -99,7 +106,7 @@ fn shadows_and_sums_are_those_of_the_twin() {
         let at = |p| {
             lights
                 .iter()
-                .map(|l| punctual::<f64>(&exact, l, p).0)
+                .map(|l| punctual::<f64>(&exact, &l.coefficients(), p).0)
                 .fold([0.0; 3], |sum: [f64; 3], e| [sum[0] + e[0], sum[1] + e[1], sum[2] + e[2]])
         };
         points.iter().flat_map(at).collect()
@@ -117,18 +124,9 @@ fn shadows_and_sums_are_those_of_the_twin() {
 }
 
 #[test]
-fn no_lights_are_dark_and_bad_ones_refused() {
+fn no_lights_are_dark() {
     let scene = scene();
     let points = points(&scene);
     let dark = GpuBackend::new(&gpu(), scene.clone()).unwrap().punctual(&points, &[], &Silent).unwrap();
     assert!(dark.len() == points.len() && dark.iter().all(|e| *e == [0.0; 3]));
-    let good = PunctualLight::point([0.0; 3], [1.0; 3]);
-    good.check().unwrap();
-    let bad = [
-        PunctualLight { position: [f32::NAN; 3], ..good },
-        PunctualLight { intensity: [-1.0, 0.0, 0.0], ..good },
-        good.with_range(-1.0),
-        good.with_range(0.0),
-    ];
-    assert!(bad.iter().all(|light| light.check().is_err()));
 }

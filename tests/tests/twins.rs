@@ -356,6 +356,15 @@ fn groups_that_do_not_fit_are_refused() {
     }
 }
 
+#[test]
+fn cameras_that_scale_are_refused() {
+    let mut backend = GpuBackend::new(&gpu(), room()).unwrap();
+    let mut camera = scenes::cameras()[0];
+    camera.world_from_camera.x_axis *= 2.0;
+    let found = [backend.primary(&camera, camera.rows()).err(), backend.project(&[], &camera).err()];
+    assert!(found.iter().flatten().filter(|e| e.to_string().contains("is not rigid")).count() == 2, "{found:?}");
+}
+
 /// A pyramid with holes and odd sizes, and footprints from all of its levels; the first sees very many texels.
 fn pyramid() -> (Pyramid, Footprints) {
     let (width, height) = (183, 101);

@@ -33,7 +33,7 @@ fn main() -> texir_core::error::Result<()> {
     let surfaces = Surfaces {
         albedo: by_texel([0.6, 0.5, 0.4], [0.8; 3])?,
         emission: by_texel([0.0; 3], [1000.0, 900.0, 700.0])?,
-        lights: vec![PunctualLight::point([0.8, 0.5, 0.0], [20.0; 3])],
+        lights: vec![PunctualLight::Point { position: [0.8, 0.5, 0.0], intensity: [20.0; 3], range: None }],
         environment: Some(Environment::constant([5.0, 7.0, 10.0])?),
     };
     let gather = Gather::new(128, 128, 0);

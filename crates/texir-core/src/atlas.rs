@@ -2,6 +2,7 @@
 
 mod crowded;
 
+use std::fmt;
 use std::ops::Range;
 
 use glam::Vec2;
@@ -82,22 +83,34 @@ impl Atlas {
         typical.edge()
     }
 
-    /// Puts one value per valid texel into the atlas, `empty` elsewhere.
-    pub fn scatter<T: Copy>(&self, values: &[T], empty: T) -> Raster<T> {
+    /// Puts one value per valid texel into the atlas, `empty` elsewhere. Errors on another number of values.
+    pub fn scatter<T: Copy>(&self, values: &[T], empty: T) -> Result<Raster<T>> {
+        self.check_count("values", values.len())?;
         let mut raster = Raster::filled(self.width, self.height, empty);
         self.texels.iter().zip(values).for_each(|(&t, &v)| raster.data[t as usize] = v);
-        raster
+        Ok(raster)
     }
 
     /// [`Atlas::scatter`], then `rings` times the texels that are not `known`, those outside the charts among them,
     /// take the value of their first neighbour that is or has taken one, so that lookups just outside find what is just
     /// inside.
-    pub fn scatter_padded<T: Copy>(&self, values: &[T], known: &[bool], empty: T, rings: usize) -> Raster<T> {
-        let mut raster = self.scatter(values, empty);
+    pub fn scatter_padded<T: Copy>(&self, values: &[T], known: &[bool], empty: T, rings: usize) -> Result<Raster<T>> {
+        let mut raster = self.scatter(values, empty)?;
+        self.check_count("flags of what is known", known.len())?;
         let mut filled = vec![false; self.width * self.height];
         self.texels.iter().zip(known).for_each(|(&texel, &known)| filled[texel as usize] = known);
         pad(&mut raster, &mut filled, rings);
-        raster
+        Ok(raster)
+    }
+
+    fn check_count(&self, what: &str, found: usize) -> Result<()> {
+        if found == self.texels.len() {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "{found} {what} are given for an atlas of {} texels; expected one per valid texel",
+            self.texels.len()
+        )))
     }
 }
 
@@ -232,6 +245,12 @@ pub struct TexelIndex {
     index: Vec<u32>,
 }
 
+impl fmt::Debug for TexelIndex {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("TexelIndex").field("size", &[self.width, self.height]).finish_non_exhaustive()
+    }
+}
+
 impl TexelIndex {
     const EMPTY: u32 = u32::MAX;
 
@@ -291,6 +310,9 @@ mod tests {
             triangles: vec![[0, 1, 2], [0, 2, 3]],
         };
         let atlas = Atlas::new(&mut CpuBackend::new(Scene::new(mesh).unwrap()), [4, 4]).unwrap();
+        for few in [atlas.scatter(&[1.0; 15], 0.0), atlas.scatter_padded(&[1.0; 16], &[true; 17], 0.0, 1)] {
+            assert!(few.is_err_and(|e| e.to_string().contains("an atlas of 16 texels")));
+        }
         let index = TexelIndex::new(&atlas);
         let column = |u: f32| index.nearest(Vec2::new(u, 0.5)).map(|texel| atlas.texels[texel as usize] % 4);
         assert_eq!([0.0, 0.24, 0.26, 0.99, 1.0].map(column), [0, 0, 1, 3, 3].map(Some));

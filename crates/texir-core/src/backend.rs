@@ -20,6 +20,7 @@ use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
+pub use crate::raster::MAX_RADIANCE;
 use crate::raster::Rgb;
 use crate::rng::{MORTON_SIDE, hash2, scrambled_morton};
 use crate::scene::Scene;
@@ -38,9 +39,6 @@ pub struct Sampling {
 
 /// The most samples of one technique at a point: sums in single precision gain nothing from more.
 pub const MAX_SAMPLES: u32 = 1 << 20;
-
-/// The strongest radiance that lighting may have: of more, squares leave single precision.
-pub const MAX_RADIANCE: f32 = 1e15;
 
 /// How many rays the irradiance gather sends, and where: at most [`MAX_SAMPLES`] of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -284,7 +282,8 @@ pub trait Backend {
     /// [`Backend::specular_tables`] ignores it.
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
-    /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres.
+    /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres. Errors
+    /// on a camera that fails [`Camera::check`], as [`Backend::project`] does.
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>>;
 
     /// Texel map: which surface point each texel in some `rows` of an atlas of `[width, height]` texels is, row by row.

@@ -3,8 +3,9 @@
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
-use glam::{Mat4, Vec2, Vec3};
+use glam::{DMat3, DMat4, Mat4, Vec2, Vec3, Vec4};
 
+use crate::error::{Error, Result};
 use crate::real::{Real, V3};
 
 /// How pixels map to directions in camera space.
@@ -26,7 +27,10 @@ pub enum Projection {
     },
 }
 
-/// A posed camera.
+/// A rotation may differ from an orthonormal one by this much per entry of RᵀR: files with few digits, f32 arithmetic.
+const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
+
+/// A posed camera. Passes refuse one that fails [`Camera::check`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Pixel-to-direction model.
@@ -40,6 +44,34 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// Errors on an image without pixels or with 2³² of them or more, on numbers of the projection that are not finite
+    /// or focal lengths of 0, and on a pose that is not rigid: one that scales, shears or mirrors would be projected
+    /// wrongly.
+    pub fn check(&self) -> Result<()> {
+        let Self { projection, width, height, world_from_camera: pose } = self;
+        if !width.checked_mul(*height).is_some_and(|pixels| (1..=u32::MAX as usize).contains(&pixels)) {
+            return Err(Error::invalid(format!(
+                "the camera's image is {width}×{height} pixels; expected 1 to {} of them",
+                u32::MAX
+            )));
+        }
+        if let Projection::Pinhole { fx, fy, cx, cy } = *projection
+            && !([fx, fy, cx, cy].iter().all(|v| v.is_finite()) && fx != 0.0 && fy != 0.0)
+        {
+            return Err(Error::invalid(format!(
+                "the camera's pinhole has fx {fx}, fy {fy}, cx {cx}, cy {cy}; expected finite pixels, fx and fy not 0"
+            )));
+        }
+        // An inverse may be off by rounding.
+        let is_affine = (pose.row(3) - Vec4::W).abs().max_element() <= ORTHONORMAL_TOLERANCE as f32;
+        if !pose.is_finite() || !is_affine {
+            return Err(Error::invalid(format!(
+                "the camera's world_from_camera is {pose}; expected finite numbers, and 0, 0, 0, 1 as its last row"
+            )));
+        }
+        check_rigid(&pose.as_dmat4()).map_err(|what| Error::invalid(format!("the camera's world_from_camera {what}")))
+    }
+
     /// The optical centre in world space.
     pub fn position(&self) -> Vec3 {
         self.world_from_camera.w_axis.truncate()
@@ -125,7 +157,7 @@ impl Camera {
     }
 
     /// The same view with one pixel for `factor` along both axes; columns and rows that do not fill one are cut off.
-    /// `None` where a panorama would not stay whole, or nothing is left.
+    /// `None` where a panorama would not stay whole, no pixel would be left, or `factor` is 0.
     pub fn reduced(&self, factor: usize) -> Option<Self> {
         let (width, height) = (self.width.checked_div(factor)?, self.height.checked_div(factor)?);
         if width == 0 || height == 0 {
@@ -198,9 +230,72 @@ impl Camera {
     }
 }
 
+/// That the upper left of the matrix is a rotation; what is wrong with it otherwise, as the end of a sentence.
+pub(crate) fn check_rigid(matrix: &DMat4) -> Result<(), String> {
+    let rotation = DMat3::from_mat4(*matrix);
+    let determinant = rotation.determinant();
+    let lengths = [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|axis| axis.length());
+    // Relative to the lengths of the axes, so that a tiny but proper scale is not mistaken for a singular matrix.
+    let spanned = determinant / lengths.iter().product::<f64>();
+    if spanned.is_nan() || spanned.abs() <= 1e-6 {
+        return Err(format!(
+            "is singular (determinant {determinant:.3e}); expected a rotation and a translation, camera to world"
+        ));
+    }
+    if determinant < 0.0 {
+        return Err(format!(
+            "mirrors (determinant {determinant:.3}); expected a rotation of determinant +1: flip one axis, as when \
+             converting from a left-handed frame"
+        ));
+    }
+    let difference = rotation.transpose() * rotation - DMat3::IDENTITY;
+    let largest = difference.to_cols_array().into_iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    if largest > ORTHONORMAL_TOLERANCE {
+        return Err(format!(
+            "is not rigid: its axes have the lengths {:.4}, {:.4}, {:.4} and RᵀR differs from 1 by {largest:.2e}; expected \
+             an orthonormal rotation: take the scale and the shear out of it",
+            lengths[0], lengths[1], lengths[2]
+        ));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cameras_that_project_wrongly_are_refused() {
+        let pinhole = Projection::Pinhole { fx: 40.0, fy: -42.0, cx: 33.0, cy: 15.0 };
+        let turned = Mat4::from_rotation_translation(glam::Quat::from_rotation_y(0.7), Vec3::new(1.0, -2.0, 0.5));
+        let good = Camera { projection: pinhole, width: 64, height: 32, world_from_camera: turned };
+        good.check().unwrap();
+        Camera { world_from_camera: turned.inverse(), ..good }.check().unwrap();
+        let posed = |pose: Mat4| Camera { world_from_camera: pose, ..good };
+        let lens = |fx: f32, cx: f32| Camera { projection: Projection::Pinhole { fx, fy: 1.0, cx, cy: 0.0 }, ..good };
+        for (bad, what) in [
+            (posed(turned * Mat4::from_scale(Vec3::splat(2.0))), "world_from_camera is not rigid"),
+            (posed(turned * Mat4::from_scale(Vec3::new(1.0, 1.0, -1.0))), "world_from_camera mirrors"),
+            (posed(Mat4::ZERO), "0, 0, 0, 1 as its last row"),
+            (posed(turned.transpose()), "0, 0, 0, 1 as its last row"),
+            (posed(Mat4::from_translation(Vec3::NAN)), "expected finite numbers"),
+            (Camera { width: 0, ..good }, "0×32 pixels"),
+            (Camera { width: usize::MAX, ..good }, "expected 1 to 4294967295"),
+            (lens(0.0, 0.0), "fx 0"),
+            (lens(1.0, f32::INFINITY), "cx inf"),
+        ] {
+            let error = bad.check().unwrap_err().to_string();
+            assert!(error.contains(what), "{error}; expected {what}");
+        }
+    }
+
+    #[test]
+    fn a_view_is_not_reduced_to_nothing() {
+        let projection = Projection::Pinhole { fx: 40.0, fy: 40.0, cx: 2.0, cy: 1.0 };
+        let camera = Camera { projection, width: 4, height: 2, world_from_camera: Mat4::IDENTITY };
+        assert_eq!([0, 3, 5].map(|factor| camera.reduced(factor)), [None; 3]);
+        assert_eq!(camera.reduced(2).map(|camera| [camera.width, camera.height]), Some([2, 1]));
+    }
 
     #[test]
     fn projection_inverts_direction() {

@@ -6,6 +6,7 @@
 //! again.
 
 use std::collections::{BTreeMap, HashMap};
+use std::fmt;
 use std::fs::{self, File, TryLockError};
 use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};
@@ -68,6 +69,13 @@ pub struct Array<'a> {
     bytes: &'a [u8],
 }
 
+impl fmt::Debug for Array<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scalar, shape, .. } = self;
+        f.debug_struct("Array").field("scalar", scalar).field("shape", shape).finish_non_exhaustive()
+    }
+}
+
 impl<'a, T: Element> From<&'a [T]> for Array<'a> {
     fn from(values: &'a [T]) -> Self {
         let scalars = 8 * size_of::<T>() / T::SCALAR.bitsize();
@@ -77,6 +85,12 @@ impl<'a, T: Element> From<&'a [T]> for Array<'a> {
 
 /// The arrays of a step, as they were kept.
 pub struct Step(Vec<u8>);
+
+impl fmt::Debug for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Step").field("bytes", &self.0.len()).finish_non_exhaustive()
+    }
+}
 
 impl Step {
     /// The array `name`; `None` where it is missing or of another type.
@@ -197,7 +211,7 @@ fn lock(folder: &Path) -> Result<File> {
         fs::create_dir_all(folder).map_err(|e| Error::file(folder, format!("cannot be used to keep steps in: {e}")))?;
         let file = File::create(&path).map_err(|e| Error::cannot_write(&path, e))?;
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
-            let what = "is where another run that is not finished keeps its steps; wait for it, or give this one another --output";
+            let what = "is where another run that is not finished keeps its steps; wait for it, or give this one another output";
             return Err(Error::file(folder, what));
         }
         // Another run may have finished, and removed it, in between.
@@ -281,7 +295,7 @@ mod tests {
         let part = first.within("part");
         drop(first);
         let error = open("b").unwrap_err().to_string();
-        assert!(error.contains("another run") && error.contains("--output"), "{error}");
+        assert!(error.contains("another run") && error.contains("another output"), "{error}");
         drop(part);
         assert!(open("b").is_ok());
     }

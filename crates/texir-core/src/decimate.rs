@@ -31,6 +31,7 @@ const BORDER: f64 = 10.0;
 const PACE: usize = 4096;
 
 /// What is left of a mesh.
+#[derive(Debug)]
 pub struct Decimated {
     /// Without an atlas: coordinates are (0, 0). Normals are smooth but for creases, and point to where triangles face.
     pub mesh: Mesh,

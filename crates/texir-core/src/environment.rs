@@ -1,8 +1,9 @@
 //! Light from far away: the radiance that rays see which leave the scene, and its bright parts as a sampled set.
 
 use std::f64::consts::{PI, TAU};
+use std::hash::{Hash, Hasher};
 
-use bytemuck::{Pod, Zeroable};
+use bytemuck::{Pod, Zeroable, cast_slice};
 
 use crate::distribution::{cdf, sample_cdf};
 use crate::error::{Error, Result};
@@ -18,6 +19,13 @@ use crate::real::{Real, V3};
 pub struct Environment {
     radiance: Rgb,
     bright: BrightPixels,
+}
+
+impl Hash for Environment {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        // What is sampled follows from it.
+        cast_slice::<_, u8>(&self.radiance.data).hash(state);
+    }
 }
 
 /// The pixels of a panorama that stand out (a sun, its surroundings, lit windows), drawn in proportion to luminance ×
@@ -53,22 +61,16 @@ pub struct BrightPixel {
 }
 
 impl Environment {
-    /// Wraps a panorama, twice as wide as high. Errors on an image of another shape, and on what no radiance can be.
+    /// Wraps a panorama, twice as wide as high. Errors on an image of another shape, and on radiance outside 0 to
+    /// [`MAX_RADIANCE`](crate::raster::MAX_RADIANCE).
     pub fn new(radiance: Rgb) -> Result<Self> {
         let [width, height] = radiance.size();
-        if height == 0 || width != 2 * height {
+        if height == 0 || height.checked_mul(2) != Some(width) {
             return Err(Error::invalid(format!(
                 "the environment is {width}×{height} pixels; expected an equirectangular panorama, twice as wide as high"
             )));
         }
-        if let Some(i) = radiance.data.iter().position(|l| !l.iter().all(|v| *v >= 0.0 && v.is_finite())) {
-            return Err(Error::invalid(format!(
-                "the environment's pixel ({}, {}) is {:?}; expected finite radiance of at least 0",
-                i % width,
-                i / width,
-                radiance.data[i]
-            )));
-        }
+        radiance.check_radiance("the environment")?;
         let bright = BrightPixels::find(&radiance);
         Ok(Self { radiance, bright })
     }
@@ -215,9 +217,14 @@ mod tests {
         for bad in [Rgb::filled(0, 0, [0.0; 3]), Rgb::filled(4, 4, [0.0; 3])] {
             assert!(Environment::new(bad).unwrap_err().to_string().contains("twice as wide"));
         }
-        for bad in [f32::NAN, f32::INFINITY, -1.0] {
+        for bad in [f32::NAN, f32::INFINITY, -1.0, 1e38] {
             let error = Environment::constant([0.0, bad, 0.0]).unwrap_err().to_string();
-            assert!(error.contains("(0, 0)"), "{error}");
+            assert!(error.contains("column 0, row 0; expected 0 to 1e15"), "{error}");
         }
+        for pixels in [0, 31, 33] {
+            let error = Environment::new(Rgb { width: 8, height: 4, data: vec![[1.0; 3]; pixels] }).unwrap_err();
+            assert!(error.to_string().contains("one for each of its 8×4 pixels"), "{error}");
+        }
+        assert!(Environment::constant([crate::raster::MAX_RADIANCE; 3]).is_ok());
     }
 }

@@ -131,6 +131,7 @@ pub struct Evaluation {
 }
 
 /// One evaluated view, handed to whoever wants to show it.
+#[derive(Debug)]
 pub struct Evaluated<'a> {
     /// The view.
     pub view: &'a View,
@@ -161,7 +162,7 @@ pub fn check_sizes(capture: &Capture) -> Result<()> {
         capture.root.join("transforms.json"),
         format!(
             "w, h: {count} of {} views are too small to be evaluated, the first is {name:?} with {}×{} pixels; expected at least \
-             {WINDOW}×{WINDOW}, the window of SSIM: take larger images, or fit without an evaluation (--no-eval)",
+             {WINDOW}×{WINDOW}, the window of SSIM: take larger images, or fit without an evaluation",
             capture.views.len(),
             camera.width,
             camera.height,
@@ -315,7 +316,7 @@ impl<'a> Subject<'a> {
             Some(truth) => compare(&surfaces.roughness, truth, &mask)?,
             None => None,
         };
-        let known = mask.and(&observed.image.finite());
+        let known = mask.and(&observed.image.finite())?;
         let image = compare(&encoded(&rendered), &encoded(&observed.image), &known)?;
         self.views.push(Scores { albedo, roughness, image });
         Ok(SubjectView { rendered, surfaces, mask, albedo_scale })

@@ -1,5 +1,6 @@
 //! Progress and cancellation of long work: the library reports, the host program shows and stops.
 
+use std::fmt;
 #[cfg(test)]
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -30,6 +31,12 @@ pub trait Progress: Sync {
 #[must_use = "the task ends when this is dropped"]
 pub struct Task<'a>(&'a dyn Progress);
 
+impl fmt::Debug for Task<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Task").finish_non_exhaustive()
+    }
+}
+
 impl<'a> Task<'a> {
     /// Begins a task of `total` units.
     pub fn start(progress: &'a dyn Progress, task: &str, total: u64, unit: &str) -> Self {
@@ -45,6 +52,7 @@ impl Drop for Task<'_> {
 }
 
 /// Shows nothing and never cancels.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 
 impl Progress for Silent {
@@ -78,6 +86,12 @@ pub struct Named<'a> {
     pub progress: &'a dyn Progress,
     /// What follows the name of a task.
     pub of: &'a str,
+}
+
+impl fmt::Debug for Named<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Named").field("of", &self.of).finish_non_exhaustive()
+    }
 }
 
 impl Progress for Named<'_> {

@@ -4,6 +4,9 @@ use glam::{DVec2, Vec2};
 
 use crate::error::{Error, Result};
 
+/// The strongest radiance that lighting may have: of more, squares leave single precision.
+pub const MAX_RADIANCE: f32 = 1e15;
+
 /// A size, as messages have it.
 pub(crate) fn times([width, height]: [usize; 2]) -> String {
     format!("{width}×{height}")
@@ -54,15 +57,27 @@ impl<T> Raster<T> {
         &self.data[y * self.width + x]
     }
 
-    /// Index of the value that holds the texture coordinates `uv`, which are clamped to [0, 1]; v points down.
-    pub fn nearest(&self, uv: Vec2) -> usize {
-        let place = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size - 1);
-        place(uv.y, self.height) * self.width + place(uv.x, self.width)
+    /// That it holds a value per pixel, which its fields do not promise; `what` names it in the error.
+    pub(crate) fn check(&self, what: &str) -> Result<()> {
+        if self.width.checked_mul(self.height) == Some(self.data.len()) {
+            return Ok(());
+        }
+        Err(Error::invalid(format!(
+            "{what} holds {} values; expected one for each of its {} pixels",
+            self.data.len(),
+            times(self.size())
+        )))
+    }
+
+    /// The value at the texture coordinates `uv`, which are clamped to [0, 1]; v points down. `None` without pixels.
+    pub fn nearest(&self, uv: Vec2) -> Option<&T> {
+        let place = |x: f32, size: usize| ((x * size as f32).max(0.0) as usize).min(size.saturating_sub(1));
+        self.data.get(place(uv.y, self.height) * self.width + place(uv.x, self.width))
     }
 
     /// Indices of the four values around a place in pixels, centres at halves, with the weights of a bilinear look-up,
-    /// which sum to 1. Left and right meet where the image `wraps`; other borders are repeated.
-    pub fn around(&self, place: DVec2, wraps: bool) -> [(usize, f32); 4] {
+    /// which sum to 1. Left and right meet where the image `wraps`; other borders are repeated. The image has pixels.
+    pub(crate) fn around(&self, place: DVec2, wraps: bool) -> [(usize, f32); 4] {
         let corner = (place - 0.5).floor();
         let t = (place - 0.5 - corner).as_vec2();
         let within = |at: f64, size: usize| at.clamp(0.0, (size - 1) as f64) as usize;
@@ -88,9 +103,9 @@ impl<T> Raster<T> {
 
 impl<T: Copy> Raster<T> {
     /// An array with one value, made by `one`, of every square of `factor` × `factor`; what does not fill a square is
-    /// cut off.
+    /// cut off. Factors of 0 and 1 leave it as it is.
     pub fn reduced(self, factor: usize, one: impl Fn(&[T]) -> T) -> Self {
-        if factor == 1 {
+        if factor <= 1 {
             return self;
         }
         let (width, height) = (self.width / factor, self.height / factor);
@@ -109,6 +124,21 @@ impl Rgb {
     }
 }
 
+impl Rgb {
+    /// That it is an image of radiance that light may have; `what` names it in the error.
+    pub(crate) fn check_radiance(&self, what: &str) -> Result<()> {
+        self.check(what)?;
+        let impossible = |pixel: &[f32; 3]| !pixel.iter().all(|v| (0.0..=MAX_RADIANCE).contains(v));
+        let Some(i) = self.data.iter().position(impossible) else { return Ok(()) };
+        Err(Error::invalid(format!(
+            "{what} has radiance {:?} in column {}, row {}; expected 0 to {MAX_RADIANCE:e}",
+            self.data[i],
+            i % self.width,
+            i / self.width
+        )))
+    }
+}
+
 impl Gray {
     /// The value at a place in pixels, bilinear between centres: see [`Raster::around`].
     pub(crate) fn bilinear(&self, place: DVec2, wraps: bool) -> f32 {
@@ -117,11 +147,16 @@ impl Gray {
 }
 
 impl Mask {
-    /// Pixels that both masks keep; they must have one size.
-    pub fn and(&self, other: &Self) -> Self {
-        debug_assert_eq!(self.size(), other.size());
-        let data = self.data.iter().zip(&other.data).map(|(a, b)| *a && *b).collect();
-        Self { width: self.width, height: self.height, data }
+    /// Pixels that both masks keep. Errors unless they have one size.
+    pub fn and(&self, other: &Self) -> Result<Self> {
+        if self.size() != other.size() {
+            return Err(Error::invalid(format!(
+                "masks of {} and {} pixels are combined; expected masks of one size",
+                times(self.size()),
+                times(other.size())
+            )));
+        }
+        Self::new(self.width, self.height, self.data.iter().zip(&other.data).map(|(a, b)| *a && *b).collect())
     }
 }
 
@@ -143,6 +178,21 @@ pub(crate) fn mean_pixel(pixels: &[[f32; 3]]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_has_no_pixels_has_no_nearest_one() {
+        let [empty, image] = [(0, 0, vec![]), (2, 1, vec![1.0, 2.0])].map(|(w, h, d)| Gray::new(w, h, d).unwrap());
+        let corners = [Vec2::ZERO, Vec2::ONE, Vec2::splat(f32::NAN)];
+        assert_eq!(corners.map(|uv| empty.nearest(uv)), [None; 3]);
+        assert_eq!(corners.map(|uv| image.nearest(uv)), [Some(&1.0), Some(&2.0), Some(&1.0)]);
+    }
+
+    #[test]
+    fn masks_of_two_sizes_are_not_combined() {
+        let [wide, high] = [(2, 1), (1, 2)].map(|(width, height)| Mask::filled(width, height, true));
+        assert!(wide.and(&high).unwrap_err().to_string().contains("2×1 and 1×2"));
+        assert_eq!(wide.and(&wide).unwrap(), wide);
+    }
 
     #[test]
     fn a_look_up_is_exact_at_centres_and_wraps_or_repeats_borders() {

@@ -8,6 +8,7 @@ mod mipmapped;
 
 use std::borrow::Cow;
 use std::f32::consts::FRAC_1_PI;
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -108,10 +109,20 @@ pub struct Renderer<'a> {
     pyramids: Vec<Arc<Pyramid>>,
 }
 
+impl fmt::Debug for Renderer<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scene, rays, seed, .. } = self;
+        let mut renderer = f.debug_struct("Renderer");
+        renderer.field("scene", scene).field("rays", rays).field("seed", seed).finish_non_exhaustive()
+    }
+}
+
 impl<'a> Renderer<'a> {
     /// A renderer whose highlights reflect the texture-based lighting `radiance`, which the backend is given in a unit
-    /// in which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least.
+    /// in which it is about 1, and which spends about `rays` rays on those of a pixel, 96 at least. Errors on lighting
+    /// that [`Backend::set_tbl`] refuses in that unit.
     pub fn new(backend: &'a mut dyn Backend, radiance: &Rgb, rays: u32, seed: u32) -> Result<Self> {
+        radiance.check("the texture-based lighting")?;
         let atlas = Atlas::new(backend, radiance.size())?;
         let scene = backend.scene().clone();
         let of_texel = |texel: &u32| f64::from(mean_of_channels(radiance.data[*texel as usize]));
@@ -164,7 +175,7 @@ impl<'a> Renderer<'a> {
 
     /// The materials and light at every pixel centre, looked up at that point alone, as renderers write them.
     pub fn surfaces(&mut self, camera: &Camera, textures: &Mipmapped<'_>) -> Result<GBuffer> {
-        indexable(camera)?;
+        camera.check()?;
         let scene = self.scene.clone();
         textures.check(&scene)?;
         let seen = |hit: &Hit| match hit.is_hit() {
@@ -208,6 +219,7 @@ impl<'a> Renderer<'a> {
         textures: [&Mipmapped<'_>; N],
         progress: &dyn Progress,
     ) -> Result<[Rgb; N]> {
+        camera.check()?;
         let fine = camera.supersampled(SUB_PIXELS);
         indexable(&fine)?;
         let scene = self.scene.clone();
@@ -282,7 +294,7 @@ impl<'a> Renderer<'a> {
     }
 }
 
-/// Pixels are numbered in 32 bits.
+/// Sub-pixels are numbered in 32 bits.
 fn indexable(camera: &Camera) -> Result<()> {
     let Camera { width, height, .. } = camera;
     u32::try_from(camera.pixels()).map(|_| ()).map_err(|_| {

@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let gpu = Gpu::from_device(device.clone(), queue.clone())?;
     let mut backend = GpuBackend::new(&gpu, Scene::new(room())?)?;
     let atlas = Atlas::new(&mut backend, [SIZE, SIZE])?;
-    let radiance = emitted(&atlas);
+    let radiance = emitted(&atlas)?;
     backend.set_tbl(&radiance, &Lights::find(backend.scene(), &atlas, &radiance)?)?;
 
     let gather = Gather::new(64, 64, 1);
@@ -86,7 +86,7 @@ fn room() -> Mesh {
 }
 
 /// What leaves the surfaces: a dim room, and a square lamp on the ceiling.
-fn emitted(atlas: &Atlas) -> Rgb {
+fn emitted(atlas: &Atlas) -> texir_core::error::Result<Rgb> {
     let leaves: Vec<[f32; 3]> = (atlas.points.iter())
         .map(|point| {
             let [x, y, z] = point.position;
@@ -94,7 +94,7 @@ fn emitted(atlas: &Atlas) -> Rgb {
             if lamp { [20.0, 18.0, 15.0] } else { [0.2; 3] }
         })
         .collect();
-    Rgb { width: SIZE, height: SIZE, data: atlas.scatter(&leaves, [0.0; 3]).data }
+    atlas.scatter(&leaves, [0.0; 3])
 }
 
 /// Progress as an engine would take it: counted, never cancelled.

@@ -1,5 +1,6 @@
 //! [`Backend`] on a wgpu device.
 
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -37,6 +38,23 @@ pub struct GpuBackend {
     shape: Option<GatherShape>,
     cache: lookup::LookupCache,
 }
+
+impl fmt::Debug for GpuBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scene, context, shape, .. } = self;
+        f.debug_struct("GpuBackend")
+            .field("scene", scene)
+            .field("gpu", &context.gpu)
+            .field("shape", shape)
+            .finish_non_exhaustive()
+    }
+}
+
+// Bakes block, so that programs move it to a worker thread.
+const _: () = {
+    const fn is_sent<T: Send>() {}
+    is_sent::<GpuBackend>();
+};
 
 impl GpuBackend {
     /// Uploads the scene, which others may share. The device's queue is used from the calling thread, and only during
@@ -115,7 +133,7 @@ impl Backend for GpuBackend {
     }
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
-        countable(camera.pixels())?;
+        camera.check()?;
         check::rows(&rows, camera.height)?;
         self.pass("primary", |b| primary::run(&mut b.context, &b.geometry, camera, rows))
     }
@@ -162,6 +180,7 @@ impl Backend for GpuBackend {
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
         countable(points.len())?;
+        camera.check()?;
         self.pass("project", |b| project::run(&mut b.context, &b.geometry, points, camera))
     }
 

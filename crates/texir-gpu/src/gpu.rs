@@ -1,5 +1,6 @@
 //! A device to run on: owned (headless) or borrowed from a host program.
 
+use std::fmt;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,6 +18,19 @@ pub struct Gpu {
     rejected_adapters: Arc<[String]>,
     kernels: Arc<Mutex<Kernels>>,
 }
+
+impl fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut gpu = f.debug_struct("Gpu");
+        gpu.field("info", &self.info).field("rejected_adapters", &self.rejected_adapters).finish_non_exhaustive()
+    }
+}
+
+// Programs keep it beside their own device, which threads share.
+const _: () = {
+    const fn is_shared<T: Send + Sync>() {}
+    is_shared::<Gpu>();
+};
 
 /// The longest time between two questions whether the device is done.
 const MAX_POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -81,6 +95,12 @@ impl Gpu {
     /// software; `adapter` keeps only those whose name contains it (case does not matter). A program needs one, and
     /// clones of it: NVIDIA's driver can hang where one of several devices is dropped while others work.
     pub fn headless(adapter: Option<&str>) -> Result<Self> {
+        // Without one, wgpu panics.
+        if wgpu::Instance::enabled_backend_features().is_empty() {
+            return Err(Error::device(
+                "no graphics API was compiled in: build texir-gpu with its feature vulkan, metal or dx12, or wgpu with another",
+            ));
+        }
         let instance = instance().lock().unwrap_or_else(PoisonError::into_inner);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         let found: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();

@@ -5,6 +5,8 @@
 //! [`required_limits`], or for small scenes with wgpu's default limits), and then nothing is set on the device, and no
 //! dispatch is much longer than a tenth of a second. The engine's wgpu must be the version that is re-exported here as
 //! [`wgpu`].
+//!
+//! The features `vulkan`, `metal` and `dx12`, on by default, are those of wgpu: what devices are found by.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 #[cfg(target_arch = "wasm32")]

@@ -159,7 +159,7 @@ impl Bake {
         let lights = Lights::find(&scene, &shining, &radiance)?;
         drop(shining);
         backend.set_tbl(&radiance, &lights)?;
-        let identity = bake::identity(scene.mesh(), &radiance, (backend.name(), width, height, quality));
+        let identity = bake::identity(backend.as_ref(), (&radiance, &lights), None, size, &quality);
         drop(radiance);
         let texels = self.map(backend.as_mut(), size, workspace, session).inspect_err(|_| self.clean_up())?;
         let checkpoints = Checkpoints::open(&self.partial(), &identity, session.console)?;

@@ -6,7 +6,7 @@
 //! warning.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::f32::consts::FRAC_PI_2;
+use std::fmt;
 use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
@@ -39,7 +39,7 @@ const LOOKUPS: usize = 2;
 /// Normals against the front are told of where they are on more than this share of the surface.
 const FEW: f64 = 1e-3;
 
-/// Angles in files may be off by so many radians, from degrees with few digits.
+/// Reflectances in files may be above 1 by so much, from few digits.
 const ROUNDED: f32 = 1e-3;
 
 /// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only
@@ -49,7 +49,7 @@ const LIGHTING: [geometry::Ignored; 6] = [
     ("KHR_materials_unlit", "such surfaces take light, reflect it and cast shadows: leave out those that must not"),
     ("KHR_materials_transmission", "no light passes: leave out panes that must not cast shadows"),
     ("KHR_materials_diffuse_transmission", "no light passes"),
-    ("EXT_lights_image_based", "it does not shine: give the image as --environment"),
+    ("EXT_lights_image_based", "it does not shine: give the image as environment"),
     ("EXT_lights_ies", "lamps shine without their profiles"),
 ];
 
@@ -113,6 +113,18 @@ pub struct Model {
     images: Images,
 }
 
+impl fmt::Debug for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { mesh, size, lights, parts, .. } = self;
+        f.debug_struct("Model")
+            .field("triangles", &mesh.triangles.len())
+            .field("size", size)
+            .field("lights", lights)
+            .field("parts", &parts.len())
+            .finish_non_exhaustive()
+    }
+}
+
 /// Reads a scene whose lightmap is to have `size` columns.
 ///
 /// Its coordinates are TEXCOORD_1 where that gives every surface a place of its own, otherwise TEXCOORD_0 where that
@@ -146,7 +158,7 @@ pub fn read_gltf(
             }
         }
         if let Some(light) = node.light() {
-            let light = punctual(&light, world_from_node).and_then(|light| light.check().map(|()| light));
+            let light = punctual(&light, world_from_node);
             lights.push(light.map_err(|e| Error::file(path, format!("the light of node {}: {e}", node.index())))?);
         }
         Ok(())
@@ -419,24 +431,14 @@ fn punctual(light: &gltf::khr_lights_punctual::Light, world_from_node: Mat4) -> 
     let position = world_from_node.w_axis.truncate().to_array();
     let direction = world_from_node.transform_vector3(Vec3::NEG_Z).normalize_or(Vec3::NEG_Z).to_array();
     let intensity = light.color().map(|c| c * light.intensity());
-    let near = match light.kind() {
-        Kind::Directional => return Ok(PunctualLight::distant(direction, intensity)),
-        Kind::Point => PunctualLight::point(position, intensity),
+    let range = light.range();
+    let light = match light.kind() {
+        Kind::Directional => PunctualLight::Distant { direction, irradiance: intensity },
+        Kind::Point => PunctualLight::Point { position, intensity, range },
         Kind::Spot { inner_cone_angle, outer_cone_angle } => {
-            check_cone(inner_cone_angle, outer_cone_angle)?;
-            PunctualLight::spot(position, direction, intensity, [inner_cone_angle, outer_cone_angle])
+            PunctualLight::Spot { position, direction, intensity, range, inner_cone_angle, outer_cone_angle }
         }
     };
-    Ok(light.range().map_or(near, |range| near.with_range(range)))
-}
-
-/// Errors on angles of a spot by which it would shine nowhere, or behind itself.
-fn check_cone(inner: f32, outer: f32) -> Result<()> {
-    if 0.0 <= inner && inner <= outer + ROUNDED && outer <= FRAC_PI_2 + ROUNDED {
-        return Ok(());
-    }
-    Err(Error::invalid(format!(
-        "spot.innerConeAngle is {inner}, spot.outerConeAngle {outer}; expected radians from the spot's axis, 0 ≤ innerConeAngle ≤ \
-         outerConeAngle ≤ π/2"
-    )))
+    light.check()?;
+    Ok(light)
 }

@@ -9,8 +9,6 @@
 //! and irradiance comes out as illuminance in lux, all per linear RGB channel. Any other consistent set of units scales
 //! alike.
 
-use std::hash::Hash;
-
 use bytemuck::cast_slice;
 
 #[cfg(feature = "files")]
@@ -40,12 +38,13 @@ pub use self::gltf::{BounceAlbedo, Model, read_gltf};
 pub use self::series::Remainder;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
+pub use self::unfinished::BounceLimit;
+#[cfg(feature = "files")]
 pub use self::unlit::unlit;
-use crate::backend::MAX_RADIANCE;
-use crate::bake::{self, Texels};
+use crate::backend::{Backend, MAX_RADIANCE, check};
+use crate::bake::{self, Quality, Texels};
 use crate::environment::Environment;
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 
@@ -93,20 +92,16 @@ impl Surfaces {
         if !channel(&self.emission, |v| (0.0..=MAX_RADIANCE).contains(v)) {
             return Err(Error::invalid(format!("the emission map leaves [0, {MAX_RADIANCE:e}]; expected radiance")));
         }
-        if self.environment.as_ref().is_some_and(|sky| !channel(sky.radiance(), |v| *v <= MAX_RADIANCE)) {
-            return Err(Error::invalid(format!(
-                "the environment is brighter than {MAX_RADIANCE:e}; expected radiance"
-            )));
-        }
-        self.lights.iter().try_for_each(PunctualLight::check)
+        check::punctual(&self.lights)
     }
 
-    /// Identity of a bake of these surfaces, for its checkpoints; `settings` must hold the map's size, the backend's
-    /// name and [`Bounces::quality`]; the tolerance and the number of bounces need not be in it.
-    pub fn identity(&self, mesh: &Mesh, settings: impl Hash) -> String {
+    /// What [`irradiance`] of these surfaces depends on, for its checkpoints, which hold as long as none of it changes:
+    /// the backend's mesh and name, all of the surfaces, the size of their maps, [`Bounces::quality`] and texir's
+    /// version. The tolerance and the number of bounces are not in it: a bake may go on with others.
+    pub fn identity(&self, backend: &dyn Backend, quality: &Quality) -> String {
+        let Self { albedo, emission, lights, environment } = self;
         // Numbers in words are read back to the same bits.
-        let (albedo, lights) = (cast_slice::<_, u8>(&self.albedo.data), format!("{:?}", self.lights));
-        let sky = self.environment.as_ref().map(|e| cast_slice::<_, u8>(&e.radiance().data));
-        bake::identity(mesh, &self.emission, (albedo, lights, sky, settings))
+        let more = (cast_slice::<_, u8>(&albedo.data), format!("{lights:?}"), environment);
+        bake::identity_with(backend, emission, emission.size(), quality, more)
     }
 }

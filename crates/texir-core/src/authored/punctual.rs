@@ -170,7 +170,7 @@ mod tests {
         let mut backend = CpuBackend::new(Scene::new(mesh).unwrap());
         let texels = Texels::map(&mut backend, SIZE, Workspace::Memory, &Silent).unwrap();
         let points: Vec<SurfacePoint> = texels.points().flat_map(|points| points.unwrap().into_owned()).collect();
-        let light = PunctualLight::distant(DOWN.to_array(), [1.0; 3]);
+        let light = PunctualLight::Distant { direction: DOWN.to_array(), irradiance: [1.0; 3] };
         let found = irradiance(&mut backend, SIZE, &points, &[light], subsamples, &Silent).unwrap();
         let mut columns = vec![vec![0.0; SIZE[1]]; SIZE[0]];
         for (point, e) in points.iter().zip(found) {

@@ -8,7 +8,8 @@ use glam::{Mat4, Vec3};
 use gltf::binary::Glb;
 use serde_json::{Value, json};
 
-use super::{BounceAlbedo, Bounces, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
+use super::BounceLimit::{Bound, Wanted};
+use super::{BounceAlbedo, BounceLimit, Bounces, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
 use crate::backend::{Backend, Gather};
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
@@ -320,7 +321,7 @@ fn over() -> Mat4 {
 
 /// What users are told of a scene after at most so many bounces, which were asked for or not: of bounces, and of light
 /// that does not arrive.
-fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
+fn told(source: PathBuf, most: u32, limit: BounceLimit) -> [Option<String>; 2] {
     let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
     let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
@@ -329,37 +330,37 @@ fn told(source: PathBuf, most: u32, asked: bool) -> [Option<String>; 2] {
     let bounces = Bounces { quality, tolerance: 0.005, most };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     let unlit = unlit(&mut backend, &model, &texels, &surfaces, &solved.solution, &Silent).unwrap();
-    [solved.unfinished(&model, bounces.tolerance, asked), unlit.into_iter().reduce(|a, b| format!("{a}\n{b}"))]
+    [solved.unfinished(&model, bounces.tolerance, limit), unlit.into_iter().reduce(|a, b| format!("{a}\n{b}"))]
 }
 
 #[test]
 fn bounces_that_do_not_end_are_told_with_the_materials_to_blame() {
     // A closed room around a lamp.
-    let told = |material: Option<Value>, most: u32, asked: bool| {
+    let told = |material: Option<Value>, most: u32, limit: BounceLimit| {
         let folder = tempfile::tempdir().unwrap();
         let room: Vec<_> = sides().map(|side| (0, side)).collect();
-        let [unfinished, unlit] = told(write_lit(folder.path(), &room, Vec3::splat(0.5), vec![material]), most, asked);
+        let [unfinished, unlit] = told(write_lit(folder.path(), &room, Vec3::splat(0.5), vec![material]), most, limit);
         assert_eq!(unlit, None);
         unfinished
     };
     let grey = |v: f32| Some(json!({ "name": "wall", "pbrMetallicRoughness": { "baseColorFactor": [v, v, v, 1.0] } }));
-    for asked in [false, true] {
-        let white = told(None, 8, asked).unwrap();
+    for limit in [Bound, Wanted] {
+        let white = told(None, 8, limit).unwrap();
         assert!(white.contains("do not converge: after 8") && white.contains("glTF's default"), "{white}");
-        assert!(!white.contains("--bounces"), "more of them would not help: {white}");
-        assert!(told(grey(1.0), 4, asked).unwrap().contains("\"wall\""));
+        assert!(!white.contains("more bounces"), "more of them would not help: {white}");
+        assert!(told(grey(1.0), 4, limit).unwrap().contains("\"wall\""));
     }
-    let slow = told(grey(0.96), 8, false).unwrap();
+    let slow = told(grey(0.96), 8, Bound).unwrap();
     assert!(
         slow.contains("8 bounces leave out about") && slow.contains("is 0.005") && slow.contains("\"wall\""),
         "{slow}"
     );
-    assert!(slow.contains("--bounces"), "{slow}");
-    let few = told(grey(0.5), 2, false).unwrap();
-    assert!(few.contains("2 bounces") && few.contains("--bounces") && !few.contains("nearly all light"), "{few}");
+    assert!(slow.contains("more bounces"), "{slow}");
+    let few = told(grey(0.5), 2, Bound).unwrap();
+    assert!(few.contains("2 bounces") && few.contains("more bounces") && !few.contains("nearly all light"), "{few}");
     // Negative controls: what was asked for, and what converged.
-    assert_eq!(told(grey(0.96), 8, true), None);
-    assert_eq!(told(grey(0.5), 64, false), None);
+    assert_eq!(told(grey(0.96), 8, Wanted), None);
+    assert_eq!(told(grey(0.5), 64, Bound), None);
 }
 
 #[test]
@@ -426,7 +427,7 @@ fn fronts_without_light_are_told_where_their_backs_have_it() {
     let told = |placed: &[(usize, Mat4)], lamp: Vec3, double_sided: bool| {
         let folder = tempfile::tempdir().unwrap();
         let source = write_lit(folder.path(), placed, lamp, vec![material(double_sided); 2]);
-        let [_, unlit] = told(source, 64, false);
+        let [_, unlit] = told(source, 64, Bound);
         unlit
     };
     let (floor, within, above) = ((0, Mat4::IDENTITY), Vec3::splat(0.5), Vec3::new(0.4, 2.0, 0.6));
@@ -461,7 +462,7 @@ fn what_is_lit_under_a_roof_of_one_sheet_is_not_inside_of_something() {
     let wide = Mat4::from_scale_rotation_translation(Vec3::new(9.0, 1.0, 9.0), Default::default(), Vec3::splat(-4.0));
     let roof = Mat4::from_translation(4.0 * Vec3::Y) * wide;
     let scene = write_lit(folder.path(), &[(0, Mat4::IDENTITY), (1, roof)], Vec3::new(0.4, 0.5, 0.6), vec![None; 2]);
-    assert_eq!(told(scene, 2, true), [None, None]);
+    assert_eq!(told(scene, 2, Wanted), [None, None]);
 }
 
 #[test]
@@ -506,7 +507,7 @@ fn double_sided_panels_that_shine_away_from_what_is_lit_are_told() {
         let glow = json!({ "emissiveFactor": [1.0, 1.0, 1.0], "doubleSided": double_sided });
         let panel = Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y);
         let placed = [(0, Mat4::IDENTITY), (1, panel)];
-        let [_, unlit] = told(write_lit(folder.path(), &placed, Vec3::splat(0.5), vec![None, Some(glow)]), 2, true);
+        let [_, unlit] = told(write_lit(folder.path(), &placed, Vec3::splat(0.5), vec![None, Some(glow)]), 2, Wanted);
         unlit
     };
     let up = told(true, Mat4::IDENTITY).unwrap();
@@ -578,7 +579,7 @@ fn dim_panels_too_shine_from_their_front_alone() {
             "scenes": [{ "nodes": [0, 1] }],
             "nodes": [{ "mesh": 0 }, { "mesh": 1, "matrix": panel.to_cols_array() }],
         });
-        let [_, unlit] = told(write_squares(folder.path(), &[(&[], None), (&[], Some(0))], glow), 0, true);
+        let [_, unlit] = told(write_squares(folder.path(), &[(&[], None), (&[], Some(0))], glow), 0, Wanted);
         unlit
     };
     let facing_down = about(Vec3::new(0.5, 1.0, 0.5), Mat4::from_rotation_x(std::f32::consts::PI));
@@ -601,7 +602,7 @@ fn spots_without_a_cone_are_refused() {
     for (inner, outer) in [(0.75, 0.5), (0.5, 2.0), (-0.5, 0.5)] {
         let error = read(inner, outer).unwrap_err();
         for part in
-            ["scene.gltf: the light of node 1", &format!("innerConeAngle is {inner}"), &format!("{outer}; expected")]
+            ["scene.gltf: the light of node 1", &format!("inner_cone_angle is {inner}"), &format!("{outer}; expected")]
         {
             assert!(error.contains(part), "{part:?} is not in: {error}");
         }
@@ -738,7 +739,15 @@ fn a_spot_of_a_file_has_its_cone_and_its_range() {
     std::fs::write(&scene, document.to_string()).unwrap();
     let lights = read_gltf(&scene, 16, BounceAlbedo::Diffuse, &Silent).unwrap().lights;
     let [light] = &lights[..] else { panic!("{lights:?}") };
-    let expected = PunctualLight::spot(light.position, light.direction, [8.0, 4.0, 2.0], [0.25, 0.5]).with_range(9.0);
+    let PunctualLight::Spot { position, direction, .. } = *light else { panic!("{light:?}") };
+    let expected = PunctualLight::Spot {
+        position,
+        direction,
+        intensity: [8.0, 4.0, 2.0],
+        range: Some(9.0),
+        inner_cone_angle: 0.25,
+        outer_cone_angle: 0.5,
+    };
     assert_eq!(*light, expected);
 }
 

@@ -9,10 +9,20 @@ const STEADY: f64 = 0.99;
 /// Materials that reflect this much are named where bounces do not end.
 const NEARLY_WHITE: f32 = 0.95;
 
+/// What [`Bounces::most`](super::Bounces::most) is to whoever set it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BounceLimit {
+    /// As many bounces as are wanted: that light is left at their end is no news.
+    Wanted,
+    /// A bound that light should have died away before.
+    Bound,
+}
+
 impl Solved {
-    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where their
-    /// number was `asked` for, only that more of them would not help.
-    pub fn unfinished(&self, model: &Model, tolerance: f32, asked: bool) -> Option<String> {
+    /// What to tell the user where bounces ended before less than a `tolerance` of all light was left; where as many
+    /// were had as are wanted, only that more of them would not help.
+    pub fn unfinished(&self, model: &Model, tolerance: f32, limit: BounceLimit) -> Option<String> {
+        let asked = limit == BounceLimit::Wanted;
         let steady = is_steady(&self.series);
         // No tolerance at all asks for as many bounces as are allowed.
         if self.remainder.is_within(tolerance) || (!steady && (asked || tolerance == 0.0)) {
@@ -40,7 +50,7 @@ impl Solved {
         };
         let reason = if white.is_empty() { String::new() } else { format!("; {}", darken(&white)) };
         Some(format!(
-            "{bounces} bounces leave out {share}, where --tolerance is {tolerance}: allow more with --bounces{reason}"
+            "{bounces} bounces leave out {share}, where the tolerance is {tolerance}: allow more bounces{reason}"
         ))
     }
 }

@@ -2,9 +2,7 @@
 
 use std::ops::Range;
 
-use super::{
-    Gather, GroupTarget, Groups, MAX_RADIANCE, MAX_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded,
-};
+use super::{Gather, GroupTarget, Groups, MAX_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
@@ -34,16 +32,7 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
     if radiance.data.is_empty() {
         return Err(Error::invalid("the texture-based lighting has no texels: expected at least 1×1"));
     }
-    sized("texels of the texture-based lighting", radiance.data.len(), radiance.width * radiance.height)?;
-    let impossible = |texel: &[f32; 3]| !texel.iter().all(|v| (0.0..=MAX_RADIANCE).contains(v));
-    if let Some(i) = radiance.data.iter().position(impossible) {
-        return Err(Error::invalid(format!(
-            "the texture-based lighting has radiance {:?} in column {}, row {}; expected 0 to {MAX_RADIANCE:e}",
-            radiance.data[i],
-            i % radiance.width,
-            i / radiance.width
-        )));
-    }
+    radiance.check_radiance("the texture-based lighting")?;
     let triangles = mesh.triangles.len();
     let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
     if lights.light_of_triangle.len() != triangles || !known {
@@ -88,7 +77,10 @@ pub fn specular_tables(sampling: TableSampling) -> Result<()> {
 
 /// That lights are possible ones.
 pub fn punctual(lights: &[PunctualLight]) -> Result<()> {
-    lights.iter().try_for_each(PunctualLight::check)
+    let possible = |(i, light): (usize, &PunctualLight)| {
+        light.check().map_err(|what| Error::invalid(format!("light {i}: {what}")))
+    };
+    lights.iter().enumerate().try_for_each(possible)
 }
 
 /// That every point has a material, and none is a perfect mirror, of which no density can be sampled.

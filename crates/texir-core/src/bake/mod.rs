@@ -27,8 +27,9 @@ pub use self::thinned::thinned;
 use crate::atlas::Atlas;
 use crate::backend::{Backend, Gather};
 use crate::checkpoint::Checkpoints;
+use crate::environment::Environment;
 use crate::error::{Error, Result};
-use crate::mesh::Mesh;
+use crate::lights::Lights;
 use crate::progress::Progress;
 use crate::raster::Rgb;
 
@@ -70,7 +71,7 @@ impl Baked {
             )));
         }
         let known: Vec<bool> = self.buried.iter().map(|inside| !inside || buried == Buried::Keep).collect();
-        Ok(atlas.scatter_padded(&self.irradiance, &known, [0.0; 3], PADDING))
+        atlas.scatter_padded(&self.irradiance, &known, [0.0; 3], PADDING)
     }
 }
 
@@ -143,12 +144,34 @@ pub fn denoised(
     bake(backend, atlas, &Quality::denoised(gather), checkpoints, progress)
 }
 
-/// What a bake depends on: as long as none of it changes, its [`Checkpoints`] hold.
-pub fn identity(mesh: &Mesh, radiance: &Rgb, settings: impl Hash) -> String {
+/// What a [`bake`] of a map of `[width, height]` texels depends on: as long as none of it changes, its [`Checkpoints`]
+/// hold. It covers the backend's mesh and name, the lighting that [`Backend::set_tbl`] was given and the environment
+/// that [`Backend::set_environment`] was given, the size, the quality and texir's version. What changes no more than
+/// speed and memory, as a [`Workspace`], is not in it.
+pub fn identity(
+    backend: &dyn Backend,
+    (radiance, lights): (&Rgb, &Lights),
+    environment: Option<&Environment>,
+    size: [usize; 2],
+    quality: &Quality,
+) -> String {
+    identity_with(backend, radiance, size, quality, (lights, environment))
+}
+
+/// [`identity`] of a bake whose further light is `more`.
+pub(crate) fn identity_with(
+    backend: &dyn Backend,
+    radiance: &Rgb,
+    size: [usize; 2],
+    quality: &Quality,
+    more: impl Hash,
+) -> String {
     let mut hasher = DefaultHasher::new();
+    let mesh = backend.scene().mesh();
     let vectors: [&[u8]; 2] = [cast_slice(&mesh.positions), cast_slice(&mesh.normals)];
     let (uvs, texels): (&[u8], &[u8]) = (cast_slice(&mesh.uvs), cast_slice(&radiance.data));
-    (vectors, uvs, &mesh.triangles, radiance.size(), texels, settings).hash(&mut hasher);
+    (vectors, uvs, &mesh.triangles, radiance.size(), texels).hash(&mut hasher);
+    (backend.name(), size, quality, more).hash(&mut hasher);
     format!("texir {}\nbake {:016x}\n", env!("CARGO_PKG_VERSION"), hasher.finish())
 }
 

@@ -1,3 +1,4 @@
+use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::Mutex;
@@ -17,6 +18,7 @@ use crate::denoise;
 use crate::environment::Environment;
 use crate::error::Error;
 use crate::lights::Lights;
+use crate::mesh::Mesh;
 use crate::progress::Silent;
 use crate::punctual::PunctualLight;
 use crate::scene::Scene;
@@ -90,8 +92,14 @@ fn in_tiles(
     Ok(all)
 }
 
-fn open(path: &Path, scene: &Scene, radiance: &Rgb, progress: &dyn Progress) -> Checkpoints {
-    Checkpoints::open(path, &identity(scene.mesh(), radiance, GATHER), progress).unwrap()
+/// [`identity`] of a map of [`SIDE`] texels whose light samples the cosine alone.
+fn identity_of(scene: &Arc<Scene>, radiance: &Rgb, quality: &Quality) -> String {
+    let no_lights = Lights::none(scene.mesh());
+    identity(&CpuBackend::new(scene.clone()), (radiance, &no_lights), None, [SIDE; 2], quality)
+}
+
+fn open(path: &Path, scene: &Arc<Scene>, radiance: &Rgb, progress: &dyn Progress) -> Checkpoints {
+    Checkpoints::open(path, &identity_of(scene, radiance, &Quality::denoised(GATHER)), progress).unwrap()
 }
 
 #[test]
@@ -144,7 +152,7 @@ fn what_is_kept_of_another_bake_is_begun_anew_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.exr.partial");
     let mut bake = |radiance: &Rgb, gather, stop: &Stop| {
-        let kept = Checkpoints::open(&path, &identity(scene.mesh(), radiance, gather), stop).unwrap();
+        let kept = Checkpoints::open(&path, &identity_of(&scene, radiance, &Quality::denoised(gather)), stop).unwrap();
         in_tiles(&mut backend, &atlas, gather, TILE, &kept, stop)
     };
     let begin = Stop { limit: 500, ..Stop::default() };
@@ -172,7 +180,7 @@ fn an_adaptive_bake_goes_on_where_it_was_stopped_to_the_same_bits() {
     let whole = run(&Checkpoints::none(), &Silent).unwrap();
     let most = 256 * atlas.points.len() as u64;
     assert!((most / 8 + 1..most).contains(&whole.rays), "{} of {most} rays", whole.rays);
-    let open = || Checkpoints::open(&path, &identity(scene.mesh(), &radiance, quality), &Silent).unwrap();
+    let open = || Checkpoints::open(&path, &identity_of(&scene, &radiance, &quality), &Silent).unwrap();
     for limit in [1, whole.rays / 4, whole.rays / 2] {
         let stop = Stop { limit, ..Stop::default() };
         assert!(matches!(run(&open(), &stop), Err(Error::Cancelled)));
@@ -326,7 +334,7 @@ fn bounces_in_files_have_the_bits_of_those_in_memory() {
     let surfaces = Surfaces {
         albedo: Rgb::filled(LARGE, LARGE, [0.7, 0.5, 0.3]),
         emission: Rgb { width: LARGE, height: LARGE, data: (0..LARGE * LARGE).map(shines).collect() },
-        lights: vec![PunctualLight::point([6.0, 0.5, 0.3], [2.0; 3])],
+        lights: vec![PunctualLight::Point { position: [6.0, 0.5, 0.3], intensity: [2.0; 3], range: None }],
         environment: None,
     };
     for (error, denoise) in [(None, None), (Some(0.3), Some(Denoiser::Regression))] {
@@ -353,7 +361,7 @@ fn a_bake_in_files_goes_on_where_it_was_stopped_to_the_same_bits() {
     let path = folder.path().join("map.exr.partial");
     let quality =
         Quality { gather: Gather { cosine: 128, ..GATHER }, error: Some(0.2), denoise: Some(Denoiser::Regression) };
-    let open = || Checkpoints::open(&path, &identity(scene.mesh(), &radiance, quality), &Silent).unwrap();
+    let open = || Checkpoints::open(&path, &identity_of(&scene, &radiance, &quality), &Silent).unwrap();
     let mut run = |workspace: Workspace, kept: &Checkpoints, progress: &dyn Progress| -> Result<_> {
         let texels = Texels::map(&mut backend, [LARGE; 2], workspace, &Silent)?;
         let solution = super::bake_texels(&mut backend, &texels, &quality, kept, progress)?;
@@ -424,14 +432,23 @@ fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
 fn a_bake_goes_on_only_with_what_it_was_begun_with() {
     let (scene, radiance) = two_sheets();
     let mesh = scene.mesh();
-    let of = |mesh: &Mesh, radiance: &Rgb, seed: u32| identity(mesh, radiance, seed);
-    let own = of(mesh, &radiance, 1);
-    assert_eq!(own, of(&mesh.clone(), &radiance.clone(), 1));
+    let backend = CpuBackend::new(scene.clone());
+    let no_lights = Lights::none(mesh);
+    let quality = Quality::denoised(Gather::new(8, 8, 1));
+    let own = identity(&backend, (&radiance, &no_lights), None, [SIDE; 2], &quality);
+    let again = CpuBackend::new(Scene::new(mesh.clone()).unwrap());
+    assert_eq!(own, identity(&again, (&radiance.clone(), &no_lights.clone()), None, [SIDE; 2], &quality.clone()));
     let changed = |change: fn(&mut Mesh)| {
         let mut other = mesh.clone();
         change(&mut other);
-        of(&other, &radiance, 1)
+        let backend = CpuBackend::new(Scene::new(other).unwrap());
+        identity(&backend, (&radiance, &no_lights), None, [SIDE; 2], &quality)
     };
+    let lit = |radiance: &Rgb, lights: &Lights, environment: Option<&Environment>| {
+        identity(&backend, (radiance, lights), environment, [SIDE; 2], &quality)
+    };
+    let baked = |size: [usize; 2], quality: Quality| identity(&backend, (&radiance, &no_lights), None, size, &quality);
+    let sky = |radiance: f32| Environment::constant([radiance; 3]).unwrap();
     let mut brighter = radiance.clone();
     brighter.data[77][2] += 0.5;
     let others = [
@@ -439,33 +456,43 @@ fn a_bake_goes_on_only_with_what_it_was_begun_with() {
         changed(|mesh| mesh.normals[1] = Vec3::X),
         changed(|mesh| mesh.uvs[1].y += 1e-3),
         changed(|mesh| mesh.triangles[0].swap(0, 1)),
-        of(mesh, &brighter, 1),
-        of(mesh, &Rgb { width: SIDE / 2, height: 2 * SIDE, ..radiance.clone() }, 1),
-        of(mesh, &radiance, 2),
+        lit(&brighter, &no_lights, None),
+        lit(&Rgb { width: SIDE / 2, height: 2 * SIDE, ..radiance.clone() }, &no_lights, None),
+        lit(&radiance, &Lights { one_sided: true, ..no_lights.clone() }, None),
+        lit(&radiance, &Lights::by_power(mesh, &vec![1.0; mesh.triangles.len()]), None),
+        lit(&radiance, &no_lights, Some(&sky(1.0))),
+        lit(&radiance, &no_lights, Some(&sky(2.0))),
+        baked([SIDE, 2 * SIDE], quality),
+        baked([SIDE; 2], Quality::denoised(Gather::new(8, 8, 2))),
+        baked([SIDE; 2], Quality { error: Some(0.1), ..quality }),
+        baked([SIDE; 2], Quality { denoise: None, ..quality }),
     ];
-    assert!(others.iter().all(|other| *other != own), "{own} {others:?}");
+    let distinct: HashSet<&String> = others.iter().chain([&own]).collect();
+    assert_eq!(distinct.len(), others.len() + 1, "{own} {others:?}");
 
     let surfaces = Surfaces {
         albedo: Rgb::filled(SIDE, SIDE, [0.5; 3]),
         emission: radiance,
-        lights: vec![PunctualLight::point([0.0; 3], [1.0; 3])],
+        lights: vec![PunctualLight::Point { position: [0.0; 3], intensity: [1.0; 3], range: None }],
         environment: Some(Environment::new(Rgb::filled(4, 2, [1.0; 3])).unwrap()),
     };
-    let own = surfaces.identity(mesh, 1);
-    assert_eq!(own, surfaces.clone().identity(mesh, 1));
+    let own = surfaces.identity(&backend, &quality);
+    assert_eq!(own, surfaces.clone().identity(&backend, &quality));
     let changed = |change: fn(&mut Surfaces)| {
         let mut other = surfaces.clone();
         change(&mut other);
-        other.identity(mesh, 1)
+        other.identity(&backend, &quality)
     };
     let others = [
         changed(|of| of.albedo.data[3][1] = 0.4),
         changed(|of| of.emission.data[3][1] = 9.0),
-        changed(|of| of.lights[0].intensity[2] = 2.0),
+        changed(|of| {
+            of.lights[0] = PunctualLight::Point { position: [0.0; 3], intensity: [1.0, 1.0, 2.0], range: None };
+        }),
         changed(|of| of.lights.clear()),
         changed(|of| of.environment = None),
         changed(|of| of.environment = Some(Environment::new(Rgb::filled(4, 2, [2.0; 3])).unwrap())),
-        surfaces.identity(mesh, 2),
+        surfaces.identity(&backend, &Quality::denoised(Gather::new(8, 8, 2))),
     ];
     assert!(others.iter().all(|other| *other != own), "{own} {others:?}");
 }

@@ -99,10 +99,10 @@ impl View {
     /// Which pixels of `image`, which [`View::load_image`] gave, may be used: those that are known and that the mask
     /// keeps.
     pub fn usable(&self, image: &Rgb) -> Result<Mask> {
-        Ok(match self.load_mask()? {
+        match self.load_mask()? {
             Some(mask) => mask.and(&image.finite()),
-            None => image.finite(),
-        })
+            None => Ok(image.finite()),
+        }
     }
 
     /// Pixels that the mask keeps.

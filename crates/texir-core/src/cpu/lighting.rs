@@ -6,6 +6,7 @@ use crate::real::{Real, V3};
 use crate::scene::trace::{Trace, TraceHit};
 
 /// Texture-based lighting: the radiance arriving along a ray is the texture's value where the ray first meets the mesh.
+#[derive(Debug)]
 pub struct Lighting<'a, T> {
     /// Finds the hits.
     pub tracer: &'a T,

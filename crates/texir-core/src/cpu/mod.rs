@@ -23,6 +23,7 @@ pub mod texels;
 #[cfg(test)]
 mod tests;
 
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -57,6 +58,18 @@ pub struct CpuBackend {
     scene: Arc<Scene>,
     tbl: Option<(Rgb, Lights)>,
     environment: Option<Environment>,
+}
+
+impl fmt::Debug for CpuBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let radiance = self.tbl.as_ref().map(|(radiance, _)| radiance.size());
+        let environment = self.environment.as_ref().map(|environment| environment.radiance().size());
+        f.debug_struct("CpuBackend")
+            .field("scene", &self.scene)
+            .field("radiance", &radiance)
+            .field("environment", &environment)
+            .finish()
+    }
 }
 
 impl CpuBackend {
@@ -121,6 +134,7 @@ impl Backend for CpuBackend {
     }
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
+        camera.check()?;
         check::rows(&rows, camera.height)?;
         let hit = |i: usize| {
             primary::primary::<f32>(&*self.scene, camera, i % camera.width, i / camera.width)
@@ -161,6 +175,7 @@ impl Backend for CpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         check::punctual(lights)?;
+        let lights: Vec<_> = lights.iter().map(PunctualLight::coefficients).collect();
         map_in_chunks(points, progress, lights.len() as u64, |_, point| {
             let sum = |sum, light| sum + punctual::punctual::<f32>(&*self.scene, light, point);
             lights.iter().fold(V3::zero(), sum).to_f32()
@@ -173,6 +188,7 @@ impl Backend for CpuBackend {
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
+        camera.check()?;
         Ok(points.par_iter().map(|p| project::project::<f32>(&*self.scene, camera, p)).collect())
     }
 

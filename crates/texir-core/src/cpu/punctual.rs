@@ -1,13 +1,13 @@
 //! Irradiance from a punctual light, twin of `punctual.wgsl`.
 
 use super::project::CLEAR_SHARE;
-use crate::punctual::PunctualLight;
+use crate::punctual::Coefficients;
 use crate::real::{Real, V3};
 use crate::scene::trace::Trace;
 use crate::surface::SurfacePoint;
 
 /// E at a point: intensity × falloff × cosθ / d², 0 in shadow. Cosine included, not divided by π.
-pub fn punctual<R: Real>(tracer: &impl Trace<R>, light: &PunctualLight, point: &SurfacePoint) -> V3<R> {
+pub fn punctual<R: Real>(tracer: &impl Trace<R>, light: &Coefficients, point: &SurfacePoint) -> V3<R> {
     let (zero, one) = (R::of(0.0), R::of(1.0));
     let scalar = |v: f32| R::of(f64::from(v));
     let origin = V3::of(point.position);

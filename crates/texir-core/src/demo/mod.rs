@@ -103,6 +103,7 @@ impl Default for FlatOptions {
 }
 
 /// A furnished flat: one mesh with one non-overlapping atlas, and its true materials. World space, metres, +Z up.
+#[derive(Debug)]
 pub struct Flat {
     /// All surfaces, counter-clockwise towards the free space.
     pub mesh: Mesh,

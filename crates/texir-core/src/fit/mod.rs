@@ -176,7 +176,7 @@ pub fn fit(
     if let Some(radiance) = relit {
         tbl.radiance = radiance;
     }
-    let mut emission = padded(&emitted((&tbl.radiance, &emitters), &materials), &atlas);
+    let mut emission = padded(&emitted((&tbl.radiance, &emitters), &materials), &atlas)?;
     let Materials { albedo, roughness, metallic, mut irradiance, diffuse, masking, confidence } = materials;
     if let Some(what) = warnings::too_bright(&albedo, &emitters, &tbl) {
         progress.warn(&format!("{}: {what}", capture.root.display()));
@@ -226,7 +226,7 @@ fn without_buried(mut baked: Baked, atlas: &Atlas) -> Result<Rgb> {
 }
 
 /// A map with what lies at the rims of charts continued beyond them.
-fn padded(map: &Rgb, atlas: &Atlas) -> Rgb {
+fn padded(map: &Rgb, atlas: &Atlas) -> Result<Rgb> {
     let values: Vec<[f32; 3]> = atlas.texels.iter().map(|&texel| map.data[texel as usize]).collect();
     atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], bake::PADDING)
 }

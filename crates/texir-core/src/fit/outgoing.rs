@@ -13,12 +13,13 @@ use super::Materials;
 use crate::atlas::Atlas;
 use crate::bake::PADDING;
 use crate::capture::{Coverage, Tbl};
+use crate::error::Result;
 use crate::raster::{Mask, Rgb};
 use crate::specular_albedo::specular_albedo;
 
 /// Radiance that every texel sends. Light sources, metals, and what is captured though none of the pixels fitted shows
 /// it (`is_fitted`, per texel) send what was captured.
-pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask, is_fitted: &[bool]) -> Rgb {
+pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask, is_fitted: &[bool]) -> Result<Rgb> {
     let sent = |(&t, is_fitted): (&u32, &bool)| -> [f32; 3] {
         let t = t as usize;
         let is_metal = materials.metallic.as_ref().is_some_and(|metallic| metallic.data[t] > 0.0);
@@ -78,7 +79,7 @@ mod tests {
         let metallic = Gray { width: 5, height: 1, data: vec![0.0, 0.0, 1.0, 0.0, 0.0] };
         let emitters = Mask { width: 5, height: 1, data: vec![false, true, false, false, false] };
         let materials = materials(map([0.5 - specular(); 5]), map([std::f32::consts::TAU; 5]), Some(metallic));
-        let sent = radiance(&atlas, &tbl, &materials, &emitters, &[true, true, true, false, false]);
+        let sent = radiance(&atlas, &tbl, &materials, &emitters, &[true, true, true, false, false]).unwrap();
         for (found, expected) in sent.data.iter().zip([1.0, 7.0, 3.0, 2.0, 1.0]) {
             assert!((found[0] - expected).abs() < 1e-5, "{:?}", sent.data);
         }
@@ -92,7 +93,7 @@ mod tests {
         let atlas = Atlas::new(&mut backend, [96, 64]).unwrap();
         let map = |value: &dyn Fn(usize) -> f32| -> Rgb {
             let values: Vec<[f32; 3]> = (0..atlas.texels.len()).map(|i| [value(i); 3]).collect();
-            atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING)
+            atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING).unwrap()
         };
         let near_lamp = |p: Vec3| p.z > 2.4 && (p.x - 2.0).abs() < 0.5 && (p.y - 1.5).abs() < 0.5;
         let is_lamp: Vec<bool> = atlas.points.iter().map(|p| near_lamp(p.position.into())).collect();
@@ -145,12 +146,12 @@ mod tests {
         let at = |i: usize| first.data[atlas.texels[i] as usize][0];
         let albedo = map(&|i| if hidden(i) { ALBEDO } else { ALBEDO * truth[i] / at(i) });
         let materials = materials(albedo, first.clone(), None);
-        let emitters = Mask { width: 96, height: 64, data: atlas.scatter(&is_lamp, false).data };
+        let emitters = atlas.scatter(&is_lamp, false).unwrap();
         let seen = |i: usize| if hidden(i) { Coverage::Inpainted } else { Coverage::Seen };
         let coverage: Vec<Coverage> = (0..truth.len()).map(seen).collect();
-        let tbl = Tbl { radiance: captured, coverage: atlas.scatter(&coverage, Coverage::Outside) };
+        let tbl = Tbl { radiance: captured, coverage: atlas.scatter(&coverage, Coverage::Outside).unwrap() };
         let is_fitted: Vec<bool> = coverage.iter().map(|c| *c == Coverage::Seen).collect();
-        let second = bake(&radiance(&atlas, &tbl, &materials, &emitters, &is_fitted));
+        let second = bake(&radiance(&atlas, &tbl, &materials, &emitters, &is_fitted).unwrap());
         let (before, after) = (error(&first), error(&second));
         assert!(before > 0.2 && after < 0.05, "{before} {after}");
     }

@@ -1,6 +1,7 @@
 //! Images that are made while they are written, so that they need not be in memory.
 
 use std::borrow::Cow;
+use std::fmt;
 use std::ops::Range;
 
 use bytemuck::cast_slice;
@@ -18,6 +19,12 @@ type Make<'a, const N: usize> = dyn FnMut(Range<usize>) -> Result<Cow<'a, [[f32;
 pub struct ImageRows<'a, const N: usize> {
     size: [usize; 2],
     make: Box<Make<'a, N>>,
+}
+
+impl<const N: usize> fmt::Debug for ImageRows<'_, N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ImageRows").field("size", &self.size).finish_non_exhaustive()
+    }
 }
 
 impl<'a, const N: usize> ImageRows<'a, N> {

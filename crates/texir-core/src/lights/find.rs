@@ -117,7 +117,7 @@ impl<'a> Finder<'a> {
     fn mean_luminance(&self) -> Vec<f32> {
         let centre = |t: u32| {
             let [a, b, c] = self.scene.mesh().corner_uvs(t);
-            luminance(&self.radiance.data[self.radiance.nearest((a + b + c) / 3.0)])
+            self.radiance.nearest((a + b + c) / 3.0).map_or(0.0, luminance)
         };
         let mean = |(t, &(sum, count)): (u32, &(f64, u32))| {
             if count > 0 { (sum / f64::from(count)) as f32 } else { centre(t) }

@@ -10,6 +10,9 @@ mod cluster;
 pub(crate) mod find;
 mod learn;
 
+use std::hash::{Hash, Hasher};
+
+use bytemuck::{Pod, Zeroable, cast_slice};
 use glam::Vec3;
 
 use crate::distribution::sample_cdf;
@@ -22,7 +25,8 @@ use crate::surface::facing;
 pub(crate) const CONTRAST: f32 = 3.0;
 
 /// A sampled triangle.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct LightTriangle {
     /// Index in the mesh.
     pub triangle: u32,
@@ -64,6 +68,16 @@ pub struct Lights {
     pub grid: LightGrid,
     /// Tables of a number per cluster: the probability of it and those before it. The first is by power alone.
     pub tables: Vec<f32>,
+}
+
+impl Hash for Lights {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Self { triangles, clusters, light_of_triangle, one_sided, grid, tables } = self;
+        (cast_slice::<_, u8>(triangles), clusters, light_of_triangle, one_sided).hash(state);
+        let LightGrid { origin, per_metre, size, tables: of_cells } = grid;
+        (origin.to_array().map(f32::to_bits), per_metre.to_bits(), size, of_cells).hash(state);
+        cast_slice::<_, u8>(tables).hash(state);
+    }
 }
 
 impl Lights {

@@ -1,6 +1,7 @@
 //! Textures with their mip levels made, and what of them a pixel shows.
 
 use std::borrow::Cow;
+use std::fmt;
 use std::sync::Arc;
 
 use super::Textures;
@@ -35,6 +36,14 @@ pub(super) struct Seen {
     pub metallic: f32,
     pub irradiance: [f32; 3],
     pub emission: [f32; 3],
+}
+
+impl fmt::Debug for Mipmapped<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scene, diffuse, masking, .. } = self;
+        let mut textures = f.debug_struct("Mipmapped");
+        textures.field("scene", scene).field("diffuse", diffuse).field("masking", masking).finish_non_exhaustive()
+    }
 }
 
 impl<'t> Mipmapped<'t> {

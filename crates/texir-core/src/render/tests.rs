@@ -235,3 +235,29 @@ fn light_may_be_in_any_unit() {
         assert!(off < 1e-4, "{off} in a unit of 2^-{exponent}");
     }
 }
+
+#[test]
+fn lighting_without_its_pixels_is_refused() {
+    let (scene, radiance) = scene();
+    let short = Rgb { data: radiance.data[1..].to_vec(), ..radiance };
+    let error = Renderer::new(&mut CpuBackend::new(scene), &short, 96, 1).err().unwrap().to_string();
+    assert!(error.contains("expected one for each of its"), "{error}");
+}
+
+#[test]
+fn cameras_that_scale_are_refused() {
+    let (scene, radiance) = scene();
+    let mut backend = CpuBackend::new(scene);
+    let pose = camera().world_from_camera * Mat4::from_scale(Vec3::splat(2.0));
+    let scaled = Camera { world_from_camera: pose, ..camera() };
+    let refused = |error: Option<Error>| error.is_some_and(|e| e.to_string().contains("is not rigid"));
+    assert!(refused(backend.primary(&scaled, scaled.rows()).err()));
+    assert!(refused(backend.project(&[], &scaled).err()));
+    let mut renderer = Renderer::new(&mut backend, &radiance, 96, 1).unwrap();
+    let textures = textures(DiffuseModel::Lambert, 0.2);
+    let textures = renderer.mipmapped(&textures).unwrap();
+    assert!(refused(renderer.surfaces(&scaled, &textures).err()));
+    assert!(refused(renderer.render(&scaled, &textures, &Silent).err()));
+    let empty = Camera { height: 0, ..camera() };
+    assert!(renderer.surfaces(&empty, &textures).is_err_and(|e| e.to_string().contains("16×0 pixels")));
+}

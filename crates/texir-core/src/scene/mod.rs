@@ -4,6 +4,7 @@ mod hierarchy;
 pub mod trace;
 mod wide;
 
+use std::fmt;
 use std::sync::OnceLock;
 
 use glam::Vec3;
@@ -35,6 +36,14 @@ pub struct Scene {
     bvh: CwBvh,
     /// What rays on the host go through: made when the first one does.
     wide: OnceLock<WideBvh>,
+}
+
+impl fmt::Debug for Scene {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Mesh { positions, triangles, .. } = &self.mesh;
+        let mut scene = f.debug_struct("Scene");
+        scene.field("vertices", &positions.len()).field("triangles", &triangles.len()).finish_non_exhaustive()
+    }
 }
 
 impl Scene {

@@ -56,6 +56,7 @@ pub fn intersect<R: Real>(
 }
 
 /// Tests every triangle: slow, free of any hierarchy, exact in its scalar.
+#[derive(Debug)]
 pub struct BruteForce<'a>(pub &'a Mesh);
 
 impl<R: Real> Trace<R> for BruteForce<'_> {

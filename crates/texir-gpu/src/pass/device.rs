@@ -96,8 +96,8 @@ pub(crate) struct PunctualLight {
 
 impl From<&punctual::PunctualLight> for PunctualLight {
     fn from(light: &punctual::PunctualLight) -> Self {
-        let punctual::PunctualLight { position, distant, direction, inverse_range, intensity, cone_scale, cone_offset } =
-            *light;
+        let punctual::Coefficients { position, distant, direction, inverse_range, intensity, cone_scale, cone_offset } =
+            light.coefficients();
         let distant = u32::from(distant);
         Self { position, distant, direction, inverse_range, intensity, cone_scale, cone_offset, ..Self::zeroed() }
     }

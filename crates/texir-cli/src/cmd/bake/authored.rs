@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use texir_core::authored::{self, BounceAlbedo, Bounces, Model, Surfaces, write_lightmapped_glb};
+use texir_core::authored::{self, BounceAlbedo, BounceLimit, Bounces, Model, Surfaces, write_lightmapped_glb};
 use texir_core::backend::Backend;
 use texir_core::bake::{Texels, Workspace, bounce_workspace_within};
 use texir_core::checkpoint::Checkpoints;
@@ -109,8 +109,8 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let (texels, surfaces) =
         prepare(backend.as_mut(), &model, environment, workspace, (bake, session)).inspect_err(|_| bake.clean_up())?;
     let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
-    let settings = (backend.name(), width, height, bounces.quality);
-    let checkpoints = Checkpoints::open(&bake.partial(), &surfaces.identity(&model.mesh, settings), session.console)?;
+    let identity = surfaces.identity(backend.as_ref(), &bounces.quality);
+    let checkpoints = Checkpoints::open(&bake.partial(), &identity, session.console)?;
     let light = Light { texels, surfaces, bounces };
     let summary = bake_texels(backend.as_mut(), &model, light, &checkpoints, (bake, session))
         .inspect_err(|failure| session.note_resume(failure, &checkpoints, &bake.partial()))?;
@@ -156,7 +156,8 @@ fn bake_texels(
     let Light { texels, surfaces, bounces } = light;
     let (options, console) = (&bake.authored, session.console);
     let solved = authored::irradiance(backend, &texels, &surfaces, &bounces, checkpoints, console)?;
-    let unfinished = solved.unfinished(model, bounces.tolerance, options.bounces.is_some());
+    let limit = if options.bounces.is_some() { BounceLimit::Wanted } else { BounceLimit::Bound };
+    let unfinished = solved.unfinished(model, bounces.tolerance, limit);
     let unlit = authored::unlit(backend, model, &texels, &surfaces, &solved.solution, console)?;
     for warning in unfinished.iter().chain(&unlit) {
         console.warn(&format!("{}: {warning}", bake.input.display()));

@@ -9,9 +9,9 @@ use ::gltf::camera::Projection as Lens;
 use glam::{DMat4, Mat4, Vec3};
 
 use super::{Importer, Source};
-use crate::camera::{Camera, Projection};
+use crate::camera::{Camera, Projection, check_rigid};
 use crate::capture::{Shot, files};
-use crate::capture::{Split, View, pose};
+use crate::capture::{Split, View};
 use crate::error::{Error, Result};
 use crate::image_io::read_size;
 use crate::mesh_io::gltf::{for_each_node, open};
@@ -90,7 +90,7 @@ fn shot(path: &Path, folder: &Path, node: &Node, parent: Option<&str>, pose: Mat
         None => return Ok(None),
     };
     let world_from_camera = without_scale(pose.as_dmat4());
-    pose::check_rigid(&world_from_camera).map_err(|what| wrong(format!("its transform {what}")))?;
+    check_rigid(&world_from_camera).map_err(|what| wrong(format!("its transform {what}")))?;
     let camera = Camera { projection, width, height, world_from_camera: world_from_camera.as_mat4() };
     Ok(Some(View::new(name.to_owned(), camera, Split::Train, image).into()))
 }

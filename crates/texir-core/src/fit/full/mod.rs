@@ -83,7 +83,7 @@ pub fn fit(
         let is_last = round + 1 == rounds.len();
         let guide = if is_last { EdgeGuide::Median } else { EdgeGuide::Albedo };
         let materials = recover(context, &irradiance, (&labels, &seen), settings, guide, progress)?;
-        let sent = outgoing::radiance(atlas, context.tbl, &materials, emitters, &seen.is_seen);
+        let sent = outgoing::radiance(atlas, context.tbl, &materials, emitters, &seen.is_seen)?;
         drop(seen);
         // One scan for each diffuse model is enough.
         rounds.iter_mut().for_each(|settings| settings.diffuse = materials.diffuse.into());
@@ -171,13 +171,13 @@ fn recover(
     };
     let gray = |values: &[f32]| atlas.scatter_padded(values, &all, 0.0, bake::PADDING);
     Ok(Materials {
-        albedo: rgb(&painted),
-        roughness: gray(&roughness),
-        metallic: settings.metallic.enabled.then(|| gray(&metallic)),
-        irradiance: rgb(&compensated),
+        albedo: rgb(&painted)?,
+        roughness: gray(&roughness)?,
+        metallic: settings.metallic.enabled.then(|| gray(&metallic)).transpose()?,
+        irradiance: rgb(&compensated)?,
         diffuse,
         masking: settings.masking,
-        confidence: Some(gray(&confidence)),
+        confidence: Some(gray(&confidence)?),
     })
 }
 

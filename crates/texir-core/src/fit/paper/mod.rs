@@ -104,7 +104,7 @@ fn complete(
     let roughness: Vec<f32> = inpaint::fill(&atlas.points, &roughness, texel).iter().map(|r| r[0]).collect();
     let all = vec![true; atlas.texels.len()];
     Ok((
-        atlas.scatter_padded(&albedo, &all, [0.0; 3], bake::PADDING),
-        atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING),
+        atlas.scatter_padded(&albedo, &all, [0.0; 3], bake::PADDING)?,
+        atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING)?,
     ))
 }

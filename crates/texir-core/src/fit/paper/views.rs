@@ -113,7 +113,7 @@ impl Surroundings<'_> {
     }
 
     fn is_emitter(&self, uv: Vec2) -> bool {
-        self.context.emitters.data[self.context.emitters.nearest(uv)]
+        self.context.emitters.nearest(uv) == Some(&true)
     }
 
     /// Virtual highlights: pixels that reflect a light source when the surface is a black near-mirror.

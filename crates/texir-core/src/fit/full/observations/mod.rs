@@ -339,7 +339,7 @@ impl Strata {
             let hit = &self.hits[s];
             hit.is_hit()
                 && hit.is_front(mesh, -self.fine.direction_of(s))
-                && !emitters.data[emitters.nearest(hit.uv(mesh))]
+                && emitters.nearest(hit.uv(mesh)) == Some(&false)
         };
         let strata = self.of(pixel);
         if !strata.into_iter().all(reflects) {

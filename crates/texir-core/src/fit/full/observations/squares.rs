@@ -12,6 +12,7 @@ const _: () = assert!(AXIS * AXIS == STRATA, "the strata of a pixel form a squar
 
 /// The squares that an image is cut into, row by row. Near the poles of a panorama, whose columns crowd there, they
 /// have more pixels in a row, so that they are as wide there as anywhere.
+#[derive(Debug)]
 pub struct Squares {
     /// Pixels in a row of the image.
     width: usize,
