@@ -211,7 +211,7 @@ fn lock(folder: &Path) -> Result<File> {
         fs::create_dir_all(folder).map_err(|e| Error::file(folder, format!("cannot be used to keep steps in: {e}")))?;
         let file = File::create(&path).map_err(|e| Error::cannot_write(&path, e))?;
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
-            let what = "is where another run that is not finished keeps its steps; wait for it, or give this one another output";
+            let what = "is where another run that is not finished keeps its steps; wait for it, or give this one another --output";
             return Err(Error::file(folder, what));
         }
         // Another run may have finished, and removed it, in between.
@@ -295,7 +295,7 @@ mod tests {
         let part = first.within("part");
         drop(first);
         let error = open("b").unwrap_err().to_string();
-        assert!(error.contains("another run") && error.contains("another output"), "{error}");
+        assert!(error.contains("another run") && error.contains("--output"), "{error}");
         drop(part);
         assert!(open("b").is_ok());
     }

@@ -162,7 +162,7 @@ pub fn check_sizes(capture: &Capture) -> Result<()> {
         capture.root.join("transforms.json"),
         format!(
             "w, h: {count} of {} views are too small to be evaluated, the first is {name:?} with {}×{} pixels; expected at least \
-             {WINDOW}×{WINDOW}, the window of SSIM: take larger images, or fit without an evaluation",
+             {WINDOW}×{WINDOW}, the window of SSIM: take larger images, or fit without an evaluation (--no-eval)",
             capture.views.len(),
             camera.width,
             camera.height,

@@ -70,8 +70,8 @@ pub(crate) fn unwrap(
     drop(task);
     let atlas = atlas.map_err(|e| match e {
         uvunwrap::Error::Cancelled if !progress.cancelled() => Error::invalid(format!(
-            "unwrapping was given up after {} minutes: the surface falls into too many charts; decimate it, \
-             smooth it, or unwrap it in another program",
+            "unwrapping was given up after {} minutes: the surface falls into too many charts; reduce it (a capture's by `texir import \
+             --decimate`), smooth it, or unwrap it in another program",
             most.as_secs() / 60
         )),
         uvunwrap::Error::Cancelled => Error::Cancelled,
@@ -118,7 +118,7 @@ pub fn unwrap_mesh(mesh: &Mesh, progress: &dyn Progress) -> Result<UnwrappedMesh
     }
     let largest = SIDES[SIDES.len() - 1];
     Err(Error::invalid(format!(
-        "the mesh falls into too many charts for an atlas of {largest}×{largest} texels: decimate it, smooth \
+        "the mesh falls into too many charts for an atlas of {largest}×{largest} texels: reduce it with --decimate, smooth \
          it, or unwrap it in another program"
     )))
 }

@@ -86,7 +86,7 @@ fn views_that_contradict_the_others() {
 fn views_that_are_exposed_otherwise() {
     let capture = Capture::new();
     paint(&capture, "c", |_, pixel| pixel.map(|v| 4.0 * v));
-    is_told(&capture, &["exposed differently", "\"c\" most (4.0", "solving for exposure"]);
+    is_told(&capture, &["exposed differently", "\"c\" most (4.0", "--solve-exposure"]);
 }
 
 #[test]

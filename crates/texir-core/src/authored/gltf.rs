@@ -49,7 +49,7 @@ const LIGHTING: [geometry::Ignored; 6] = [
     ("KHR_materials_unlit", "such surfaces take light, reflect it and cast shadows: leave out those that must not"),
     ("KHR_materials_transmission", "no light passes: leave out panes that must not cast shadows"),
     ("KHR_materials_diffuse_transmission", "no light passes"),
-    ("EXT_lights_image_based", "it does not shine: give the image as environment"),
+    ("EXT_lights_image_based", "it does not shine: give the image as --environment"),
     ("EXT_lights_ies", "lamps shine without their profiles"),
 ];
 

@@ -39,13 +39,13 @@ impl Model {
         if size < SMALLEST_SIDE {
             return Err(Error::invalid(format!(
                 "the scene has no coordinates for a lightmap, and cannot be unwrapped into one of {size}×{size} texels; expected \
-                 at least {SMALLEST_SIDE}, and many times that for a picture of its light: give it a larger size"
+                 at least {SMALLEST_SIDE}, and many times that for a picture of its light: make it larger with --size"
             )));
         }
         let surfaces: Vec<_> = self.parts.iter().map(|part| (&part.positions[..], &part.triangles[..])).collect();
         let unwrapped = unwrap(&surfaces, size, progress)?.ok_or_else(|| {
             Error::invalid(format!(
-                "the scene's charts do not fit a lightmap of {size}×{size} texels: give it a larger size, or bring a \
+                "the scene's charts do not fit a lightmap of {size}×{size} texels: make it larger with --size, or bring a \
                  second UV set (TEXCOORD_1) without overlaps"
             ))
         })?;

@@ -50,7 +50,7 @@ impl Solved {
         };
         let reason = if white.is_empty() { String::new() } else { format!("; {}", darken(&white)) };
         Some(format!(
-            "{bounces} bounces leave out {share}, where the tolerance is {tolerance}: allow more bounces{reason}"
+            "{bounces} bounces leave out {share}, where the tolerance (--tolerance) is {tolerance}: allow more bounces (--bounces){reason}"
         ))
     }
 }

@@ -92,12 +92,12 @@ fn find_mesh(root: &Path) -> Result<PathBuf> {
         let names = MESH_NAMES.join(", ");
         let what = match files::mesh(root) {
             Some(only) => format!(
-                "has no mesh of a name that is looked for ({names}), but {}: rename it, name {} as its mesh, or make a \
+                "has no mesh of a name that is looked for ({names}), but {}: rename it, give it as --mesh {}, or make a \
                  capture of the folder with `texir import`, which takes it",
                 only.file_name().unwrap_or_default().display(),
                 only.display()
             ),
-            None => format!("has no mesh; expected one of {names}, or name its mesh"),
+            None => format!("has no mesh; expected one of {names}, or name one with --mesh"),
         };
         Error::file(root, what)
     })
@@ -125,7 +125,7 @@ fn check_light(root: &Path, views: &[View], progress: &dyn Progress) -> Result<(
 
 fn warn_about_atlas(path: &Path, mesh: &Mesh, progress: &dyn Progress) {
     for problem in atlas_report(mesh, DEFAULT_SIDE).problems() {
-        progress.warn(&format!("{}: {problem}; `texir import` makes a new atlas, by unwrapping", path.display()));
+        progress.warn(&format!("{}: {problem}; `texir import --unwrap` makes a new atlas", path.display()));
     }
 }
 
@@ -173,7 +173,7 @@ fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
     if up.length() > UPRIGHT && up.normalize().z < UPRIGHT {
         progress.warn(&format!(
             "{}: transform_matrix: up is {up:.1} in the cameras, on average, and +Z in the world: floors and rooms are looked for \
-             along +Z; `texir import` turns mesh and cameras, told which way is up",
+             along +Z; `texir import --up` turns mesh and cameras",
             root.join("transforms.json").display()
         ));
     }

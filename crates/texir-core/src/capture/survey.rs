@@ -244,7 +244,7 @@ impl Survey {
         let off = || self.0.iter().filter_map(|shown| Some((shown, shown.out_of_place?)));
         let (most, pixels) = off().max_by(|a, b| a.1.total_cmp(&b.1))?;
         Some(format!(
-            "{} of {} training views are out of place on the mesh, {:?} most, by {pixels:.1} pixels: refining poses moves them to where \
+            "{} of {} training views are out of place on the mesh, {:?} most, by {pixels:.1} pixels: --refine-poses moves them to where \
              they agree with the others, unless it is the mesh that is off, or something was moved",
             off().count(),
             self.0.len(),
@@ -281,7 +281,7 @@ impl Survey {
         (differ > exposure::MIN_DIFFERENCE).then(|| {
             format!(
                 "the training views are exposed differently, by {:.1} % (root mean square), {:?} most ({:.3} times as bright as the middle \
-                 one): solving for exposure brings them together, unless the light was changed between them",
+                 one): --solve-exposure brings them together, unless the light was changed between them",
                 100.0 * differ.exp_m1(),
                 most.name,
                 agreement.brighter().exp()

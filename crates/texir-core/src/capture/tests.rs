@@ -413,9 +413,9 @@ fn a_capture_needs_a_folder_a_mesh_and_a_training_view() {
 
     let folder = capture();
     std::fs::remove_file(folder.path().join("mesh.obj")).unwrap();
-    assert_says(&message(&folder), &["has no mesh; expected", "mesh.glb", "name its mesh"]);
+    assert_says(&message(&folder), &["has no mesh; expected", "mesh.glb", "--mesh"]);
     for (name, parts) in [
-        ("room.obj", &["has no mesh of a name that is looked for", "but room.obj", "as its mesh", "texir import"][..]),
+        ("room.obj", &["has no mesh of a name that is looked for", "but room.obj", "--mesh", "texir import"][..]),
         // Of two, none is the mesh.
         ("scan.obj", &["has no mesh; expected one of"]),
     ] {
@@ -512,7 +512,7 @@ fn worlds_that_are_not_z_up_are_warned_about() {
     };
     let y_up = warned(0.0, [0, 1, 2]);
     assert_eq!(y_up.len(), 1, "{y_up:?}");
-    assert_says(&y_up[0], &["transforms.json", "up is [0.0, 1.0, 0.0]", "+Z in the world", "told which way is up"]);
+    assert_says(&y_up[0], &["transforms.json", "up is [0.0, 1.0, 0.0]", "+Z in the world", "texir import --up"]);
     // Negative controls: +Z is up, also in photos that lie on their side.
     assert!(warned(0.0, [1, 2, 0]).is_empty());
     assert!(warned(90.0, [1, 2, 0]).is_empty());

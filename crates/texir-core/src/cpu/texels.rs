@@ -60,7 +60,7 @@ impl TileBins {
             if entries > MOST {
                 return Err(Error::invalid(format!(
                     "the mesh's triangles lie over each other in the atlas, so many that more than {MOST} are near its texels; expected \
-                     a place of its own for each: unwrap the mesh into a new atlas"
+                     a place of its own for each: give the mesh a new atlas (`texir import --unwrap`)"
                 )));
             }
         }

@@ -16,12 +16,8 @@ pub fn denoise(map: &Rgb, normals: &Rgb) -> Result<Rgb> {
         return Err(Error::invalid(format!("a map of {width} × {height} texels, and normals of {:?}", normals.size())));
     }
     let mut clean = Raster::filled(width, height, [0.0f32; 3]);
-    filter(map, normals, cast_slice_mut(&mut clean.data)).map_err(|e| {
-        Error::device(format!(
-            "Open Image Denoise: {}; bake without denoising, or with the denoiser of regression",
-            e.message()
-        ))
-    })?;
+    filter(map, normals, cast_slice_mut(&mut clean.data))
+        .map_err(|e| Error::device(format!("Open Image Denoise: {}; `--no-denoise` does without it", e.message())))?;
     Ok(clean)
 }
 

@@ -206,7 +206,7 @@ fn views_that_are_too_small_are_named_before_any_work() {
     capture.views[1].camera.height = 6;
     let shown = &mut |_: &Evaluated<'_>| panic!("work was done");
     let error = evaluate(&mut renderer, &capture, &textures(), &Silent, shown).unwrap_err().to_string();
-    for part in ["transforms.json", "1 of 2 views", "\"b\" with 7×6", "7×7", "without an evaluation"] {
+    for part in ["transforms.json", "1 of 2 views", "\"b\" with 7×6", "7×7", "--no-eval"] {
         assert!(error.contains(part), "{part:?} is not in: {error}");
     }
 }

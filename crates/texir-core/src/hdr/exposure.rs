@@ -27,7 +27,7 @@ pub fn read_exposure(path: impl AsRef<Path>) -> Result<f64> {
 }
 
 fn hint() -> &'static str {
-    "copy the fields from the camera's files (exiftool -TagsFromFile), or give the exposure times"
+    "copy the fields from the camera's files (exiftool -TagsFromFile), or give the exposure times with --times"
 }
 
 fn number(path: &Path, exif: &Exif, tag: Tag, name: &str) -> Result<f64> {

@@ -92,7 +92,7 @@ fn estimate(samples: &[Vec<[f32; 3]>], exposures: &[f64], channel: usize) -> Res
     if pixels.is_empty() {
         return Err(Error::invalid(
             "no pixel is neither black nor clipped in two shots: the response cannot be estimated; take exposures that are \
-             closer together, or choose a response",
+             closer together, or name the response with --response",
         ));
     }
     let mut difference = vec![0.0; KNOTS];
@@ -181,6 +181,6 @@ fn solve(pixels: &[Vec<Term>], last: &[f64], forgiven: f64) -> Result<Vec<f64>> 
     }
     let mut solution: Vec<[f64; 1]> = right.into_iter().map(|b| [b]).collect();
     cholesky::solve(&mut matrix.concat(), &mut solution)
-        .ok_or_else(|| Error::invalid("the response cannot be estimated from these shots: choose a response"))?;
+        .ok_or_else(|| Error::invalid("the response cannot be estimated from these shots: name it with --response"))?;
     Ok(solution.into_iter().flatten().collect())
 }

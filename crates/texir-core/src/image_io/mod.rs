@@ -164,7 +164,7 @@ fn read_rgb_with(path: &Path, unknown: f32) -> Result<Rgb> {
             format!(
                 "is a {format:?}, whose 8-bit values are neither linear nor unclipped; expected linear values as \
                  OpenEXR, Radiance HDR or float TIFF: merge bracketed exposures with `texir hdr`, or, knowing the curve, \
-                 give it on import"
+                 convert with `texir import --curve`"
             ),
         )),
     }

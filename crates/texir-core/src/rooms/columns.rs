@@ -23,7 +23,7 @@ pub(super) fn grid_over(triangles: impl Iterator<Item = [Vec3; 3]>, cell: f32) -
     if f64::from(extent.x + 2.0) * f64::from(extent.y + 2.0) > MAX_CELLS {
         return Err(Error::invalid(format!(
             "the floor plan of a mesh of {:.1} m × {:.1} m needs too many cells of {cell} m: check the mesh's unit \
-             (metres are expected: convert it on import) and stray vertices",
+             (metres are expected; `texir import --metres-per-unit` converts) and stray vertices",
             hi.x - lo.x,
             hi.y - lo.y
         )));

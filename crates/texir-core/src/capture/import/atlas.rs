@@ -54,7 +54,7 @@ pub(super) fn renew(import: &mut Import, why: &str, progress: &dyn Progress) -> 
     let unwrapped = unwrap_mesh(&import.mesh, progress);
     let UnwrappedMesh { mesh, charts, side } = unwrapped.map_err(|e| of_mesh(import, e))?;
     import.mesh = mesh;
-    let larger = if side > DEFAULT_SIDE { format!("; fit it with fit.atlas_size={side}") } else { String::new() };
+    let larger = if side > DEFAULT_SIDE { format!("; fit it with --set fit.atlas_size={side}") } else { String::new() };
     import
         .assumed
         .push(format!("the mesh gets a new atlas of {charts} charts for {side} × {side} texels{larger} ({why})"));

@@ -154,7 +154,7 @@ pub fn read(folder: impl AsRef<Path>, options: &ImportOptions, progress: &dyn Pr
         ));
     }
     let mesh_path = options.mesh.clone().or_else(|| source.mesh.clone()).ok_or_else(|| {
-        Error::file(folder, "has no mesh, or several; expected mesh.obj, .glb or .ply: name its mesh")
+        Error::file(folder, "has no mesh, or several; expected mesh.obj, .glb or .ply, or one named with --mesh")
     })?;
     let (MeshFile { mut mesh, warnings }, unplaced) = read_surface(&mesh_path)?;
     warnings.iter().for_each(|w| progress.warn(w));

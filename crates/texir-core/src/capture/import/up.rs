@@ -24,7 +24,7 @@ const STANDARD_ERRORS: f64 = 2.0;
 pub(super) fn from_cameras<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> Result<(DVec3, &'static str)> {
     let sum: DVec3 = cameras.clone().map(|camera| up_and_ahead(camera).0).sum();
     let mean = sum.try_normalize().ok_or_else(|| {
-        Error::invalid("the cameras do not tell what is up, and neither does the format: say which way it is")
+        Error::invalid("the cameras do not tell what is up, and neither does the format: say it with --up")
     })?;
     // A doubt that is no number counts as the largest.
     let doubt = Some(doubt(cameras, mean).to_degrees()).filter(|doubt| !doubt.is_nan());

@@ -229,7 +229,7 @@ impl Job<'_> {
                 path,
                 "holds 8 or 16-bit values, whose encoding is unknown and whose lamps are clipped; expected linear OpenEXR, \
                  Radiance HDR or float TIFF: merge bracketed exposures with `texir hdr`, or as a last resort say how they \
-                 are encoded (their curve: srgb, linear or gamma=2.2)",
+                 are encoded (--curve srgb, linear or gamma=2.2)",
             )
         })
     }
@@ -314,7 +314,7 @@ fn link(from: &Path, to: &Path) -> Result<()> {
 
 #[cfg(not(unix))]
 fn link(_: &Path, to: &Path) -> Result<()> {
-    Err(Error::file(to, "cannot be a link on this system: copy files instead"))
+    Err(Error::file(to, "cannot be a link on this system: leave out --link"))
 }
 
 /// The nearest values at another size.

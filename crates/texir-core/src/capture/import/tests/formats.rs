@@ -623,7 +623,7 @@ fn unknown_folders_and_formats_are_named_with_what_is_known() {
     assert_says(&message, &["polaroid", "nerfstudio", "gltf"]);
     let folder = colmap(Vec3::Z, false);
     std::fs::remove_file(folder.path().join("mesh.obj")).unwrap();
-    assert_says(&complaint(&folder), &["has no mesh", "name its mesh"]);
+    assert_says(&complaint(&folder), &["has no mesh", "--mesh"]);
 }
 
 /// What the reader of the folder assumed, and the problems of the atlas that came out.
@@ -738,7 +738,7 @@ fn encoded_images_need_a_curve() {
     let read = super::super::read(root, &ImportOptions::default(), &Silent).unwrap();
     let out = tempfile::tempdir().unwrap();
     let refused = write(&read, out.path(), &ImportOptions::default(), &Silent).unwrap_err().to_string();
-    assert_says(&refused, &["photo", "texir hdr", "curve: srgb"]);
+    assert_says(&refused, &["photo", "texir hdr", "--curve"]);
     let options = ImportOptions { curve: Some(TransferCurve::Srgb), ..ImportOptions::default() };
     let written = write(&read, out.path(), &options, &Silent).unwrap();
     assert_eq!((written.decoded, written.clipped_pixels), (4, 4 * (WIDTH * HEIGHT - 1)));
