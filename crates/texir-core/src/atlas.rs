@@ -103,6 +103,11 @@ impl Atlas {
         Ok(raster)
     }
 
+    /// [`Atlas::scatter_padded`] of values that are all known; 0 beyond.
+    pub fn padded<T: Copy + Default>(&self, values: &[T], rings: usize) -> Result<Raster<T>> {
+        self.scatter_padded(values, &vec![true; values.len()], T::default(), rings)
+    }
+
     fn check_count(&self, what: &str, found: usize) -> Result<()> {
         if found == self.texels.len() {
             return Ok(());

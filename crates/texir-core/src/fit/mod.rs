@@ -228,7 +228,7 @@ fn without_buried(mut baked: Baked, atlas: &Atlas) -> Result<Rgb> {
 /// A map with what lies at the rims of charts continued beyond them.
 fn padded(map: &Rgb, atlas: &Atlas) -> Result<Rgb> {
     let values: Vec<[f32; 3]> = atlas.texels.iter().map(|&texel| map.data[texel as usize]).collect();
-    atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], bake::PADDING)
+    atlas.padded(&values, bake::PADDING)
 }
 
 /// What leaves light sources, `radiance` where `emitters` are, and 0 elsewhere; by texel.

@@ -33,7 +33,7 @@ pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask
         std::array::from_fn(|c| (d * albedo[c] + s) * irradiance[c] * FRAC_1_PI)
     };
     let sent: Vec<[f32; 3]> = atlas.texels.iter().zip(is_fitted).map(sent).collect();
-    atlas.scatter_padded(&sent, &vec![true; sent.len()], [0.0; 3], PADDING)
+    atlas.padded(&sent, PADDING)
 }
 
 #[cfg(test)]
@@ -93,7 +93,7 @@ mod tests {
         let atlas = Atlas::new(&mut backend, [96, 64]).unwrap();
         let map = |value: &dyn Fn(usize) -> f32| -> Rgb {
             let values: Vec<[f32; 3]> = (0..atlas.texels.len()).map(|i| [value(i); 3]).collect();
-            atlas.scatter_padded(&values, &vec![true; values.len()], [0.0; 3], PADDING).unwrap()
+            atlas.padded(&values, PADDING).unwrap()
         };
         let near_lamp = |p: Vec3| p.z > 2.4 && (p.x - 2.0).abs() < 0.5 && (p.y - 1.5).abs() < 0.5;
         let is_lamp: Vec<bool> = atlas.points.iter().map(|p| near_lamp(p.position.into())).collect();

@@ -65,7 +65,7 @@ impl Fusion<'_> {
         receivers::dim(self, backend, &connectivity, &known, &mut radiance)?;
         let coverage: Vec<_> = seen.iter().map(|s| if *s { Coverage::Seen } else { Coverage::Inpainted }).collect();
         Ok(Tbl {
-            radiance: atlas.scatter_padded(&radiance, &vec![true; radiance.len()], [0.0; 3], options.gutter)?,
+            radiance: atlas.padded(&radiance, options.gutter)?,
             coverage: atlas.scatter(&coverage, Coverage::Outside)?,
         })
     }

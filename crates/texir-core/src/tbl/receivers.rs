@@ -89,7 +89,7 @@ pub(super) fn dim(
     }
     let asked = asked(fusion, &sides, |t| known.seen[t] && !shines(t));
     let points: Vec<SurfacePoint> = asked.iter().map(|&t| atlas.points[t]).collect();
-    let map = atlas.scatter_padded(radiance, &vec![true; radiance.len()], [0.0; 3], fusion.options.gutter)?;
+    let map = atlas.padded(radiance, fusion.options.gutter)?;
     backend.set_tbl(&map, &Lights::find(fusion.scene, atlas, &map)?)?;
     let gathered = backend.irradiance(&points, Gather::new(RAYS / 2, RAYS / 2, 0), &Silent)?;
     let mut receivers: Vec<Receiver> = gathered
@@ -331,7 +331,7 @@ mod tests {
     }
 
     fn map(atlas: &Atlas, sent: &[[f32; 3]]) -> Rgb {
-        atlas.scatter_padded(sent, &vec![true; sent.len()], [0.0; 3], 2).unwrap()
+        atlas.padded(sent, 2).unwrap()
     }
 
     /// Mean radiance of the lamp's top where all of the lamp is taken to shine in a room that is lit by what truly

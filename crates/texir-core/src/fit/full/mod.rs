@@ -164,12 +164,11 @@ fn recover(
     let confidence = confidence::confidence(&grid, &blocks.all, &tallies, &roughness);
     let metallic: Vec<f32> = problem.metal.iter().map(|metal| f32::from(u8::from(*metal))).collect();
 
-    let all = vec![true; painted.len()];
     let rgb = |values: &[Vec3A]| {
         let values: Vec<[f32; 3]> = values.iter().map(Vec3A::to_array).collect();
-        atlas.scatter_padded(&values, &all, [0.0; 3], bake::PADDING)
+        atlas.padded(&values, bake::PADDING)
     };
-    let gray = |values: &[f32]| atlas.scatter_padded(values, &all, 0.0, bake::PADDING);
+    let gray = |values: &[f32]| atlas.padded(values, bake::PADDING);
     Ok(Materials {
         albedo: rgb(&painted)?,
         roughness: gray(&roughness)?,

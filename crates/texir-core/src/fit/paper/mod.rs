@@ -102,9 +102,5 @@ fn complete(
     let albedo = inpaint::fill(&atlas.points, &albedo, texel);
     let roughness = known(&|t| [textures.roughness[t]; 3]);
     let roughness: Vec<f32> = inpaint::fill(&atlas.points, &roughness, texel).iter().map(|r| r[0]).collect();
-    let all = vec![true; atlas.texels.len()];
-    Ok((
-        atlas.scatter_padded(&albedo, &all, [0.0; 3], bake::PADDING)?,
-        atlas.scatter_padded(&roughness, &all, 0.0, bake::PADDING)?,
-    ))
+    Ok((atlas.padded(&albedo, bake::PADDING)?, atlas.padded(&roughness, bake::PADDING)?))
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::{Vec2, Vec3};
 
 use crate::backend::{Backend, Groups, Material, RoughnessGradient, Sampling, ShadePoint};
-use crate::capture::{Split, View};
+use crate::capture::View;
 use crate::error::Result;
 use crate::fit::FitContext;
 use crate::progress::{Progress, Task, Uncounted};
@@ -52,10 +52,9 @@ impl Surroundings<'_> {
     /// Prepares the training views. The backend must hold the TBL of the light sources alone: the virtual highlights
     /// are found with it.
     pub fn prepare(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Vec<FitView>> {
-        let training: Vec<&View> = views.iter().filter(|v| v.split == Split::Train).collect();
-        let _task = Task::start(progress, "views", training.len() as u64, "views");
-        training
-            .into_iter()
+        let _task = Task::start(progress, "views", views.len() as u64, "views");
+        views
+            .iter()
             .map(|view| {
                 progress.check()?;
                 let prepared = self.prepare_one(backend, view, progress)?;
