@@ -4,7 +4,7 @@
 // A workgroup is a tile of the atlas, a thread one of its texels, which looks through the triangles that the host
 // binned into the tile, at most `candidates` of them in one dispatch (the loop limit of CPU drivers); the state between
 // dispatches is the hit itself, with the squared distance in t. No barriers. Reads 28 bytes per candidate, writes 16
-// per texel.
+// per texel, and reads those again in all but the first dispatch.
 
 #import hit
 
