@@ -15,6 +15,7 @@ use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::real::V3;
 use trace::{Trace, TraceHit};
+pub use wide::SLAB_ROUNDING;
 use wide::WideBvh;
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.

@@ -22,7 +22,7 @@ const WIDTH: usize = 8;
 /// Children that are on the stack at most: all but one of every level.
 const STACK_SIZE: usize = (WIDTH - 1) * MAX_LEVELS;
 /// Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
-const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
+pub const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
 /// Intersection tests round differently from slab tests, and boxes were rounded when they were packed: they are wider
 /// by this share of the largest coordinate of their node.
 const MARGIN: f32 = 4.0 * f32::EPSILON;
