@@ -210,7 +210,7 @@ fn is_plausible(value: vec3f) -> bool {
 }
 
 // The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where
-// extrapolation makes it negative; what the point has itself where neither is a number.
+// nothing can be fitted, or extrapolation makes it negative; what the point has itself where neither is a number.
 fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
     let m = fit.moments;
     let weight = m[0].x;
