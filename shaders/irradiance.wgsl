@@ -187,8 +187,7 @@ fn gather_environment(
         let sky = sample_environment(params.environment_rows, lattice2(own.stretch * params.environment_samples + sample_order[k], offset));
         let cosine = dot(own.point.normal, sky.direction);
         // A negative limit makes the traversal end at once for what is below the horizon.
-        let hit = closest_hit(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0));
-        if hit.primitive == MISS && cosine > 0.0 {
+        if !is_blocked(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0)) && cosine > 0.0 {
             sum += environment_contribution(vec4f(sky.radiance, sky.density), cosine);
         }
     }

@@ -44,8 +44,7 @@ fn project(
     let cosine = dot(point.normal, direction);
     // A negative limit makes the traversal end at once for points that face away or fall outside.
     let seen = pixel.z != 0.0 && cosine > 0.0;
-    let hit = closest_hit(point.position, direction, select(-1.0, distance * params.clear_share, seen));
-    if seen && hit.primitive == MISS {
+    if !is_blocked(point.position, direction, select(-1.0, distance * params.clear_share, seen)) && seen {
         projected[i] = Projected(pixel.xy, cosine, distance);
     } else {
         projected[i] = Projected(vec2f(0.0), 0.0, 0.0);

@@ -57,7 +57,6 @@ fn punctual(
     let cosine = dot(point.normal, direction);
     // A negative limit makes the traversal end at once where no light could arrive.
     let faces = cosine > 0.0 && falloff > 0.0;
-    let hit = closest_hit(point.position, direction, select(-1.0, reach, faces));
-    let clear = faces && hit.primitive == MISS;
+    let clear = !is_blocked(point.position, direction, select(-1.0, reach, faces)) && faces;
     irradiance[i] += vec4f(select(vec3f(0.0), light.intensity * (falloff * cosine), clear), 0.0);
 }

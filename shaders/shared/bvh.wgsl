@@ -99,9 +99,8 @@ fn triangle_part(primitive: u32, part: u32) -> vec4f {
     return bitcast<vec4f>(triangle_word(primitive * 4u + part));
 }
 
-// The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
-// backs count as BACK_FACE_BIAS further.
-fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
+// The closest hit with 0 < t < t_max, or with `any_hit`, a constant, the first that is found.
+fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersection {
     let ray = traversal_ray(origin, direction);
     let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
     var best = Intersection(MISS, 0.0, 0.0, t_max);
@@ -155,8 +154,22 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
                 reach = counted;
             }
         }
+        if any_hit && best.primitive != MISS {
+            break;
+        }
     }
     return best;
+}
+
+// The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
+// backs count as BACK_FACE_BIAS further.
+fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
+    return trace(origin, direction, t_max, false);
+}
+
+// Whether anything is hit with 0 < t < t_max along the unit direction, either side of a triangle.
+fn is_blocked(origin: vec3f, direction: vec3f, t_max: f32) -> bool {
+    return trace(origin, direction, t_max, true).primitive != MISS;
 }
 
 // Normal of a primitive, on the side from which its corners run counter-clockwise; its length is twice the area.

@@ -89,10 +89,8 @@ impl Scene {
         &self.bvh.primitive_indices
     }
 
-    /// [`Trace::closest`] nearer than `length`.
-    pub(crate) fn closest_within(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> Option<TraceHit<f32>> {
-        let wide = self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh));
-        wide.closest(origin, direction, length)
+    fn wide(&self) -> &WideBvh {
+        self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh))
     }
 
     /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.
@@ -107,7 +105,11 @@ impl Trace<f32> for Scene {
     }
 
     fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        self.closest_within(origin, direction, f32::INFINITY)
+        self.wide().closest(origin, direction)
+    }
+
+    fn is_blocked(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> bool {
+        self.wide().is_blocked(origin, direction, length)
     }
 }
 
