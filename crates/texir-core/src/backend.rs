@@ -266,7 +266,8 @@ pub struct Loss<T> {
     pub gradient: Vec<T>,
 }
 
-/// The passes, for one scene that the backend keeps. Slices are host memory; item order is kept.
+/// The passes, for one scene that the backend keeps. Slices are host memory; item order is kept. Points and cameras
+/// whose rays would be none are errors that name them.
 pub trait Backend {
     /// The adapter or processor that runs the passes: for logs, and to tell apart results that may differ in their
     /// bits.

@@ -117,6 +117,7 @@ impl Backend for GpuBackend {
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         countable(camera.pixels())?;
         check::rows(&rows, camera.height)?;
+        check::camera(camera)?;
         self.pass("primary", |b| primary::run(&mut b.context, &b.geometry, camera, rows))
     }
 
@@ -136,7 +137,7 @@ impl Backend for GpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
         countable(points.len())?;
-        check::irradiance(gather)?;
+        check::irradiance(points, gather)?;
         let shape = self.shape_for(gather.cosine);
         self.pass("irradiance", |b| {
             irradiance::run(&mut b.context, (&b.geometry, lighting_of(&b.lighting)?), points, gather, shape, progress)
@@ -150,7 +151,7 @@ impl Backend for GpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         countable(points.len())?;
-        check::punctual(lights)?;
+        check::punctual(points, lights)?;
         self.pass("punctual", |b| punctual::run(&mut b.context, &b.geometry, points, lights, progress))
     }
 
@@ -162,6 +163,8 @@ impl Backend for GpuBackend {
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
         countable(points.len())?;
+        check::points(points)?;
+        check::camera(camera)?;
         self.pass("project", |b| project::run(&mut b.context, &b.geometry, points, camera))
     }
 
@@ -201,7 +204,7 @@ impl Backend for GpuBackend {
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
-        check::specular_tables(sampling)?;
+        check::specular_tables(pixels, sampling)?;
         countable(pixels.len())?;
         self.pass("specular_table", |b| {
             specular_table::run(

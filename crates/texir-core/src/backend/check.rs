@@ -5,12 +5,14 @@ use std::ops::Range;
 use super::{
     Gather, GroupTarget, Groups, MAX_RADIANCE, MAX_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded,
 };
+use crate::camera::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::specular_table::TableSampling;
+use crate::specular_table::{STRATA, TableSampling};
+use crate::surface::SurfacePoint;
 use crate::texture::{Footprints, Pyramid, SparseRows};
 
 /// That a slice has as many items as expected.
@@ -26,6 +28,51 @@ fn drawn(samples: u32) -> Result<()> {
         0 => Err(Error::invalid("the number of samples is 0: at least one is needed")),
         1..=MAX_SAMPLES => Ok(()),
         _ => Err(Error::invalid(format!("{samples} samples are asked for at a point; expected at most {MAX_SAMPLES}"))),
+    }
+}
+
+/// That all vectors of a point are numbers: no ray of others meets anything.
+fn finite<const FIELDS: usize>(what: &str, i: usize, fields: [(&str, [f32; 3]); FIELDS]) -> Result<()> {
+    match fields.into_iter().find(|(_, vector)| !vector.iter().all(|v| v.is_finite())) {
+        Some((field, vector)) => {
+            Err(Error::invalid(format!("the {field} of {what} {i} is {vector:?}; expected finite numbers")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// That rays can leave from points.
+pub fn points(points: &[SurfacePoint]) -> Result<()> {
+    let check = |(i, p): (usize, &SurfacePoint)| finite("point", i, [("position", p.position), ("normal", p.normal)]);
+    points.iter().enumerate().try_for_each(check)
+}
+
+/// That rays can leave from points to shade.
+fn shade_points(what: &str, points: &[ShadePoint]) -> Result<()> {
+    points
+        .iter()
+        .enumerate()
+        .try_for_each(|(i, p)| finite(what, i, [("position", p.position), ("normal", p.normal), ("view", p.view)]))
+}
+
+/// That a camera's pixels have directions.
+pub fn camera(camera: &Camera) -> Result<()> {
+    if !camera.world_from_camera.is_finite() {
+        return Err(Error::invalid(format!(
+            "the camera's pose is {}; expected finite numbers",
+            camera.world_from_camera
+        )));
+    }
+    match camera.projection {
+        Projection::Pinhole { fx, fy, cx, cy }
+            if ![fx, fy, cx, cy].iter().all(|v| v.is_finite()) || fx == 0.0 || fy == 0.0 =>
+        {
+            Err(Error::invalid(format!(
+                "the camera's focal lengths are {fx} and {fy}, its principal point is {cx}, {cy}; expected finite numbers, and \
+                 focal lengths other than 0"
+            )))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -67,8 +114,9 @@ pub fn rows(rows: &Range<usize>, height: usize) -> Result<()> {
 }
 
 /// That irradiance is gathered by some cosine samples ([`super::Gathered::back_faces`] is their share), and not by too
-/// many of a kind; and that texels which share a sequence have a part of it each.
-pub fn irradiance(gather: Gather) -> Result<()> {
+/// many of a kind; that rays can leave from points; and that texels which share a sequence have a part of it each.
+pub fn irradiance(points: &[SurfacePoint], gather: Gather) -> Result<()> {
+    self::points(points)?;
     if let Sequences::Shared { width, part, parts } = gather.sequences
         && (width == 0 || part >= parts)
     {
@@ -81,19 +129,22 @@ pub fn irradiance(gather: Gather) -> Result<()> {
     drawn(gather.light.max(1))
 }
 
-/// That the tables' directions can be drawn: not too many of a kind.
-pub fn specular_tables(sampling: TableSampling) -> Result<()> {
+/// That the tables' rays can leave from their points, and directions be drawn: not too many of a kind.
+pub fn specular_tables(pixels: &[[ShadePoint; STRATA]], sampling: TableSampling) -> Result<()> {
+    shade_points("stratum", pixels.as_flattened())?;
     [sampling.lobe, sampling.cosine, sampling.light].into_iter().try_for_each(|samples| drawn(samples.max(1)))
 }
 
-/// That lights are possible ones.
-pub fn punctual(lights: &[PunctualLight]) -> Result<()> {
+/// That lights are possible ones, and that rays can leave from points.
+pub fn punctual(points: &[SurfacePoint], lights: &[PunctualLight]) -> Result<()> {
+    self::points(points)?;
     lights.iter().try_for_each(PunctualLight::check)
 }
 
-/// That every point has a material, and none is a perfect mirror, of which no density can be sampled.
+/// That rays can leave from points, and that each has a material, of which none is a perfect mirror, of which no density can be sampled.
 pub fn shade(points: &[ShadePoint], materials: &[Material], sampling: Sampling) -> Result<()> {
     sized("materials to shade", materials.len(), points.len())?;
+    shade_points("point", points)?;
     if let Some(material) = materials.iter().find(|material| !(material.roughness > 0.0 && material.roughness <= 1.0)) {
         return Err(Error::invalid(format!(
             "roughness {} of a material to shade; expected one in (0, 1]",
@@ -195,6 +246,8 @@ fn within(pyramid: &Pyramid, touched: impl Iterator<Item = u32>) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use glam::Mat4;
+
     use super::*;
 
     #[test]
@@ -208,7 +261,7 @@ mod tests {
     #[test]
     fn texels_that_share_a_sequence_have_a_part_of_it_each() {
         let shared = |width, part, parts| {
-            irradiance(Gather { sequences: Sequences::Shared { width, part, parts }, ..Gather::new(1, 0, 0) })
+            irradiance(&[], Gather { sequences: Sequences::Shared { width, part, parts }, ..Gather::new(1, 0, 0) })
         };
         for [width, part, parts] in [[8, 0, 0], [8, 2, 2], [0, 0, 1]] {
             assert!(
@@ -217,6 +270,39 @@ mod tests {
             );
         }
         assert!(shared(8, 1, 2).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_number_is_named_with_its_place() {
+        let sound = SurfacePoint { position: [1.0; 3], triangle: 0, normal: [0.0, 0.0, 1.0], index: 0 };
+        let nowhere = SurfacePoint { position: [0.0, f32::NAN, 0.0], ..sound };
+        let faceless = SurfacePoint { normal: [f32::INFINITY, 0.0, 0.0], ..sound };
+        let named = |result: Result<()>, what: &str| {
+            let error = result.unwrap_err().to_string();
+            assert!(error.contains(what) && error.contains("expected finite numbers"), "{error}");
+        };
+        named(irradiance(&[sound, nowhere], Gather::new(1, 0, 0)), "the position of point 1 is [0.0, NaN, 0.0]");
+        named(punctual(&[faceless], &[]), "the normal of point 0 is [inf, 0.0, 0.0]");
+        let pixel = ShadePoint { view: [f32::NAN; 3], ..ShadePoint::default() };
+        let (material, sampling) = (Material::dielectric([0.5; 3], 0.5), Sampling { samples: 1, seed: 0 });
+        named(shade(&[pixel], &[material], sampling), "the view of point 0 is [NaN, NaN, NaN]");
+        let mut strata = [ShadePoint::default(); STRATA];
+        strata[STRATA - 1] = pixel;
+        let sampling = TableSampling::of_rays(64, crate::brdf::Masking::Smith, 0);
+        named(specular_tables(&[[ShadePoint::default(); STRATA], strata], sampling), "the view of stratum 7 is [NaN");
+        assert!(points(&[sound]).is_ok());
+
+        let panorama =
+            Camera { projection: Projection::Equirectangular, width: 4, height: 2, world_from_camera: Mat4::IDENTITY };
+        let lens =
+            |fx: f32, cx: f32| Camera { projection: Projection::Pinhole { fx, fy: 1.0, cx, cy: 0.5 }, ..panorama };
+        let mut lost = panorama;
+        lost.world_from_camera.w_axis.x = f32::NAN;
+        named(camera(&lost), "pose");
+        for view in [lens(0.0, 1.0), lens(f32::NAN, 1.0), lens(1.0, f32::NAN)] {
+            named(camera(&view), "focal lengths");
+        }
+        assert!(camera(&panorama).is_ok() && camera(&lens(1.0, 1.0)).is_ok());
     }
 
     #[test]

@@ -122,6 +122,7 @@ impl Backend for CpuBackend {
 
     fn primary(&mut self, camera: &Camera, rows: Range<usize>) -> Result<Vec<Hit>> {
         check::rows(&rows, camera.height)?;
+        check::camera(camera)?;
         let hit = |i: usize| {
             primary::primary::<f32>(&*self.scene, camera, i % camera.width, i / camera.width)
                 .map_or(Hit::MISS, Hit::from)
@@ -147,7 +148,7 @@ impl Backend for CpuBackend {
         gather: Gather,
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
-        check::irradiance(gather)?;
+        check::irradiance(points, gather)?;
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(gather.cosine) + u64::from(gather.light), |_, point| {
             irradiance::irradiance::<f32, _>(&lighting, lights, point, gather)
@@ -160,7 +161,7 @@ impl Backend for CpuBackend {
         lights: &[PunctualLight],
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
-        check::punctual(lights)?;
+        check::punctual(points, lights)?;
         map_in_chunks(points, progress, lights.len() as u64, |_, point| {
             let sum = |sum, light| sum + punctual::punctual::<f32>(&*self.scene, light, point);
             lights.iter().fold(V3::zero(), sum).to_f32()
@@ -173,6 +174,8 @@ impl Backend for CpuBackend {
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
+        check::points(points)?;
+        check::camera(camera)?;
         Ok(points.par_iter().map(|p| project::project::<f32>(&*self.scene, camera, p)).collect())
     }
 
@@ -223,7 +226,7 @@ impl Backend for CpuBackend {
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
-        check::specular_tables(sampling)?;
+        check::specular_tables(pixels, sampling)?;
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(pixels, progress, u64::from(sampling.rays()), |_, strata| {
             Curve::new(specular_table::specular_table(&lighting, lights, strata, f0, sampling).map(V3::to_f32))

@@ -190,6 +190,10 @@ impl WideBvh {
         t_max: f32,
         test: impl Fn(&Node, &Ray, f32) -> ([f32; WIDTH], u32),
     ) -> Option<TraceHit<f32>> {
+        // NaN enters any box, and hits nothing in it.
+        if !origin.0.iter().chain(&direction.0).all(|x| x.is_finite()) {
+            return None;
+        }
         let ray = Ray::new(origin, direction);
         let size = origin.0.into_iter().fold(0.0, |size: f32, x| size.max(x.abs()));
         let mut best = None;
@@ -427,6 +431,19 @@ mod tests {
                 let (origin, direction) = (V3([x, 0.5, 0.2]), V3([-x.signum(), 0.0, 0.0]));
                 let hit = scene.closest(origin, direction).unwrap();
                 assert_eq!(hit.triangle, 0, "from {x}");
+            }
+        }
+    }
+
+    #[test]
+    fn rays_that_are_not_numbers_are_not_traced() {
+        let scene = scene();
+        let wide = WideBvh::new(&scene.bvh, scene.mesh());
+        let (numbers, nan) = (V3([0.5, 0.5, 0.5]), f32::NAN);
+        let traced = |_: &Node, ray: &Ray, _: f32| panic!("from {:?} along 1 over {:?}", ray.origin, ray.inverse);
+        for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([f32::INFINITY, 0.5, 0.5])] {
+            for (origin, direction) in [(numbers, none), (none, numbers), (none, none)] {
+                assert!(wide.search::<false>(origin, direction, f32::INFINITY, traced).is_none());
             }
         }
     }
