@@ -410,6 +410,10 @@ fn misuse_is_an_error() {
     let limit = gpu.device().limits().max_texture_dimension_2d as usize;
     let wide = backend.set_tbl(&Rgb::filled(limit + 1, 1, [1.0; 3]), &dark).unwrap_err().to_string();
     assert!(wide.contains(&format!("{limit} × {limit}")), "{wide}");
+    // What was set before had to make room.
+    let none = backend.irradiance(&points, Gather::new(1, 0, 0), &Silent).unwrap_err().to_string();
+    assert!(none.contains("no lighting is set"), "{none}");
+    backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
     assert!(backend.irradiance(&points, Gather::new(1, 0, 0), &Silent).is_ok());
     let unknown = Gpu::headless(Some("no such adapter")).err().unwrap().to_string();
     assert!(unknown.contains("no such adapter"), "{unknown}");

@@ -100,6 +100,8 @@ impl Backend for GpuBackend {
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         check::tbl(self.scene.mesh(), radiance, lights)?;
+        // Two at once may be more than there is memory for.
+        self.lighting = None;
         let gpu = &self.context.gpu;
         let lighting =
             gpu.with_error_scopes("uploading the lighting", || Lighting::new(gpu, &self.scene, radiance, lights))?;
@@ -109,8 +111,12 @@ impl Backend for GpuBackend {
 
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
         let gpu = &self.context.gpu;
-        self.geometry.sky =
-            gpu.with_error_scopes("uploading the environment", || EnvironmentMap::new(gpu, environment))?;
+        let upload =
+            |environment| gpu.with_error_scopes("uploading the environment", || EnvironmentMap::new(gpu, environment));
+        self.geometry.sky = upload(None)?;
+        if environment.is_some() {
+            self.geometry.sky = upload(environment)?;
+        }
         Ok(())
     }
 

@@ -111,11 +111,14 @@ impl Backend for CpuBackend {
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         check::tbl(self.scene.mesh(), radiance, lights)?;
+        // Two at once may be more than there is memory for.
+        self.tbl = None;
         self.tbl = Some((radiance.clone(), lights.clone()));
         Ok(())
     }
 
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
+        self.environment = None;
         self.environment = environment.cloned();
         Ok(())
     }
