@@ -131,14 +131,14 @@ impl Context {
         self.gpu.kernel(KernelKey { shader, entry, variant, constant })
     }
 
-    /// Records a compute pass, submits it and waits. A pass that the device refuses is an error here: it must not be
-    /// taken for a fast one.
+    /// Records a compute pass and submits it: whoever reads what it leaves waits. A pass that the device refuses is an
+    /// error here.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         self.gpu.with_error_scopes("a dispatch", || {
             let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
             record(&mut encoder.begin_compute_pass(&Default::default()));
             self.gpu.queue().submit([encoder.finish()]);
-            self.gpu.finish()
+            Ok(())
         })
     }
 
@@ -158,6 +158,7 @@ impl Context {
     pub fn timed(&mut self, kernel: &Kernel, rays: u64, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         let start = Instant::now();
         self.submit(record)?;
+        self.gpu.finish()?;
         self.budgets.entry(kernel.key()).or_default().learn(rays, start.elapsed().as_secs_f64());
         Ok(())
     }
