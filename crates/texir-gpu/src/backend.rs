@@ -21,6 +21,7 @@ use texir_core::surface::{Hit, SurfacePoint, TexelHit};
 use texir_core::texture::{Footprints, Pyramid, SparseRows};
 
 use crate::batch::{Context, GatherShape};
+use crate::cache::Cache;
 use crate::gpu::Gpu;
 use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
@@ -36,6 +37,7 @@ pub struct GpuBackend {
     lighting: Option<Lighting>,
     shape: Option<GatherShape>,
     cache: lookup::LookupCache,
+    groups: Cache<u32>,
 }
 
 impl GpuBackend {
@@ -52,7 +54,8 @@ impl GpuBackend {
         let scene = scene.into();
         let geometry = gpu.with_error_scopes("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);
-        Ok(Self { scene, context, geometry, lighting: None, shape: None, cache: Default::default() })
+        let (cache, groups) = Default::default();
+        Ok(Self { scene, context, geometry, lighting: None, shape: None, cache, groups })
     }
 
     /// Sets how samples are dealt to threads; `None` chooses by their number. Results differ only by rounding.
@@ -67,7 +70,7 @@ impl GpuBackend {
         let result = gpu.with_error_scopes(name, || work(self));
         if result.is_err() {
             self.context.forget();
-            self.cache = Default::default();
+            (self.cache, self.groups) = Default::default();
         }
         result
     }
@@ -241,7 +244,7 @@ impl Backend for GpuBackend {
         if groups.references.is_empty() || channels == 0 {
             return Ok(Loss { value: 0.0, gradient: vec![0.0; values.len()] });
         }
-        self.pass("group_loss", |b| group_loss::run(&mut b.context, values, channels, groups, target))
+        self.pass("group_loss", |b| group_loss::run(&mut b.context, &mut b.groups, values, channels, groups, target))
     }
 
     fn lookup(
