@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use texir_core::backend::{Backend, Gather, ShadePoint};
 use texir_core::brdf::Masking;
@@ -91,4 +92,19 @@ fn a_lost_device_is_an_error_and_no_panic() {
             assert!(matches!(error, Error::Device(_)) && why.is_none_or(|why| told.contains(why)), "{pass}: {told}");
         }
     }
+}
+
+#[test]
+fn the_time_of_a_dispatch_changes_no_result() {
+    let scene = Arc::new(Scene::new(scenes::furnished_room()).unwrap());
+    let mut backend = GpuBackend::new(&texir_tests::gpu(), scene.clone()).unwrap();
+    backend.set_tbl(&scenes::smooth_light(32), &Lights::none(scene.mesh())).unwrap();
+    let points = vec![point(&scene); 2000];
+    let gather = |backend: &mut GpuBackend| backend.irradiance(&points, Gather::new(16, 0, 1), &Silent).unwrap();
+    let usual = gather(&mut backend);
+    for wrong in [Duration::ZERO, Duration::from_secs(5)] {
+        assert!(backend.set_dispatch_time(wrong).unwrap_err().to_string().contains("at most 1s"));
+    }
+    backend.set_dispatch_time(Duration::from_micros(500)).unwrap();
+    assert!(gather(&mut backend) == usual);
 }

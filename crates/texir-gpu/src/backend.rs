@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::Duration;
 
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
@@ -62,6 +63,13 @@ impl GpuBackend {
     pub fn set_gather_shape(&mut self, shape: Option<GatherShape>) -> Result<()> {
         self.shape = shape.map(GatherShape::check).transpose()?;
         Ok(())
+    }
+
+    /// Sets how long a dispatch of the passes that trace, search or denoise should take: a tenth of a second if nothing
+    /// is set, a second at most. A host program that presents meanwhile wants milliseconds; shorter ones cost more in
+    /// all. The first of each kind is a guess, by a slow processor's speed. Results do not depend on it.
+    pub fn set_dispatch_time(&mut self, time: Duration) -> Result<()> {
+        self.context.set_dispatch_time(time)
     }
 
     /// Runs a pass. After an error nothing stays that was kept for the next: buffers may have failed to be made.
