@@ -92,8 +92,8 @@ const COLUMNS: u32 = 49u;
 @group(1) @binding(7) var<storage, read_write> cleaned: array<vec4f>;
 @group(1) @binding(8) var<storage, read_write> conserved: array<vec4f>;
 
-fn owned_point(lane: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
-    return params.first + linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
+fn owned_point(thread: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
+    return params.first + linear_thread(thread, workgroup, workgroups);
 }
 
 // The entries of a column of cells around a point: [x, y).
@@ -120,11 +120,11 @@ fn square(v: vec3f) -> f32 {
 
 @compute @workgroup_size(WORKGROUP)
 fn smooth_halves(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = owned_point(lane, workgroup, workgroups);
+    let i = owned_point(thread, workgroup, workgroups);
     if i >= params.end {
         return;
     }
@@ -157,11 +157,11 @@ fn smooth_halves(
 
 @compute @workgroup_size(WORKGROUP)
 fn measure_noise(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = owned_point(lane, workgroup, workgroups);
+    let i = owned_point(thread, workgroup, workgroups);
     if i >= params.end {
         return;
     }
@@ -210,7 +210,7 @@ fn is_plausible(value: vec3f) -> bool {
 }
 
 // The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where
-// extrapolation makes it negative; what the point has itself where neither is a number.
+// nothing can be fitted, or extrapolation makes it negative; what the point has itself where neither is a number.
 fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
     let m = fit.moments;
     let weight = m[0].x;
@@ -256,11 +256,11 @@ fn centre(fit: Fit, curved: f32, own: vec3f) -> vec3f {
 
 @compute @workgroup_size(WORKGROUP)
 fn regress(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = owned_point(lane, workgroup, workgroups);
+    let i = owned_point(thread, workgroup, workgroups);
     if i >= params.end {
         return;
     }
@@ -304,11 +304,11 @@ fn regress(
 
 @compute @workgroup_size(WORKGROUP)
 fn clean(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = owned_point(lane, workgroup, workgroups);
+    let i = owned_point(thread, workgroup, workgroups);
     if i >= params.end {
         return;
     }
@@ -346,11 +346,11 @@ fn level_of(value: vec3f) -> f32 {
 
 @compute @workgroup_size(WORKGROUP)
 fn conserve(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = owned_point(lane, workgroup, workgroups);
+    let i = owned_point(thread, workgroup, workgroups);
     if i >= params.end {
         return;
     }

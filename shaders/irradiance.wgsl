@@ -7,7 +7,8 @@
 // tracing every LANES-th of a dispatch's samples; the host bounds a thread's rays, because a CPU driver silently ends
 // an invocation after 65,535 loop iterations. The lanes' sums are added in workgroup memory in a fixed tree (a barrier
 // per level), so that a result does not depend on scheduling. Dispatches add up in `gathered`, the first cosine one
-// starting it. Reads 32 and writes 16 bytes per point and dispatch, besides the hierarchy and the radiance atlas.
+// starting it. Reads 32 and writes 16 bytes per point and dispatch, and reads those 16 again in all but the first,
+// besides the hierarchy and the radiance atlas.
 
 #import lighting
 #import hit
@@ -89,7 +90,7 @@ struct LaneWork {
 }
 
 fn lane_work(thread: u32, workgroup: vec3u, workgroups: vec3u) -> LaneWork {
-    let item = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
+    let item = params.first_item + item_of(thread, LANES, workgroup, workgroups);
     let point = points[min(item, params.end_item - 1u)];
     var seed = hash2(params.seed, point.index);
     var stretch = params.part;
@@ -186,8 +187,7 @@ fn gather_environment(
         let sky = sample_environment(params.environment_rows, lattice2(own.stretch * params.environment_samples + sample_order[k], offset));
         let cosine = dot(own.point.normal, sky.direction);
         // A negative limit makes the traversal end at once for what is below the horizon.
-        let hit = closest_hit(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0));
-        if hit.primitive == MISS && cosine > 0.0 {
+        if !is_blocked(own.point.position, sky.direction, select(-1.0, T_FAR, cosine > 0.0)) && cosine > 0.0 {
             sum += environment_contribution(vec4f(sky.radiance, sky.density), cosine);
         }
     }

@@ -55,7 +55,7 @@ fn lookup(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let k = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
+    let k = linear_thread(thread, workgroup, workgroups);
     let row = k / params.channels;
     let channel = k % params.channels;
     if row < params.rows {
@@ -70,7 +70,7 @@ fn lookup_vjp(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let k = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
+    let k = linear_thread(thread, workgroup, workgroups);
     let row = k / params.channels;
     let channel = k % params.channels;
     if row < params.rows {

@@ -33,7 +33,7 @@ struct Family {
 }
 
 fn family(thread: u32, workgroup: vec3u, workgroups: vec3u) -> Family {
-    let k = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
+    let k = linear_thread(thread, workgroup, workgroups);
     let coarse = k / params.channels;
     let exists = coarse < params.coarse_width * params.coarse_height;
     let x = 2u * (coarse % params.coarse_width) + vec4u(0u, 1u, 0u, 1u);

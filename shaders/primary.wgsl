@@ -17,11 +17,11 @@ struct PrimaryParams {
 
 @compute @workgroup_size(WORKGROUP)
 fn primary(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
+    let i = linear_thread(thread, workgroup, workgroups);
     if i >= params.count {
         return;
     }

@@ -28,11 +28,11 @@ struct ProjectParams {
 
 @compute @workgroup_size(WORKGROUP)
 fn project(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
+    let i = linear_thread(thread, workgroup, workgroups);
     if i >= params.count {
         return;
     }
@@ -44,8 +44,7 @@ fn project(
     let cosine = dot(point.normal, direction);
     // A negative limit makes the traversal end at once for points that face away or fall outside.
     let seen = pixel.z != 0.0 && cosine > 0.0;
-    let hit = closest_hit(point.position, direction, select(-1.0, distance * params.clear_share, seen));
-    if seen && hit.primitive == MISS {
+    if !is_blocked(point.position, direction, select(-1.0, distance * params.clear_share, seen)) && seen {
         projected[i] = Projected(pixel.xy, cosine, distance);
     } else {
         projected[i] = Projected(vec2f(0.0), 0.0, 0.0);

@@ -33,11 +33,11 @@ struct PunctualParams {
 
 @compute @workgroup_size(WORKGROUP)
 fn punctual(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + lane;
+    let i = linear_thread(thread, workgroup, workgroups);
     if i >= params.count {
         return;
     }
@@ -57,7 +57,6 @@ fn punctual(
     let cosine = dot(point.normal, direction);
     // A negative limit makes the traversal end at once where no light could arrive.
     let faces = cosine > 0.0 && falloff > 0.0;
-    let hit = closest_hit(point.position, direction, select(-1.0, reach, faces));
-    let clear = faces && hit.primitive == MISS;
+    let clear = !is_blocked(point.position, direction, select(-1.0, reach, faces)) && faces;
     irradiance[i] += vec4f(select(vec3f(0.0), light.intensity * (falloff * cosine), clear), 0.0);
 }

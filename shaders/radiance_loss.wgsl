@@ -20,7 +20,7 @@ struct RadianceLossParams {
 // One per workgroup.
 @group(1) @binding(4) var<storage, read_write> losses: array<f32>;
 
-var<workgroup> lane_sums: array<f32, WORKGROUP>;
+var<workgroup> thread_sums: array<f32, WORKGROUP>;
 
 @compute @workgroup_size(WORKGROUP)
 fn radiance_loss(
@@ -40,14 +40,14 @@ fn radiance_loss(
             d_rendered[k] = sign(a - b) * params.share / (1.0 + a);
         }
     }
-    lane_sums[thread] = loss;
+    thread_sums[thread] = loss;
     for (var stride = 32u; stride > 0u; stride /= 2u) {
         workgroupBarrier();
         if thread < stride {
-            lane_sums[thread] += lane_sums[thread + stride];
+            thread_sums[thread] += thread_sums[thread + stride];
         }
     }
     if thread == 0u && group * WORKGROUP < params.count {
-        losses[group] = lane_sums[0];
+        losses[group] = thread_sums[0];
     }
 }

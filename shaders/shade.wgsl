@@ -3,8 +3,9 @@
 //
 // LANES threads share a pixel, each tracing every LANES-th sample of [first_sample, end_sample); sums, barriers and the
 // bound on a thread's rays are those of irradiance.wgsl. Several dispatches accumulate raw sums in `shaded` (radiance
-// holds B until the last). Reads 96 and writes 48 bytes per pixel and dispatch. `roughness` is one of two modules: the
-// derivative is chosen when the pipeline is made, as a branch in the sample loop would pay for both.
+// holds B until the last). Reads 96 and writes 48 bytes per pixel and dispatch, and reads those 48 again in all but the
+// first. `roughness` is one of two modules: the derivative is chosen when the pipeline is made, as a branch in the
+// sample loop would pay for both.
 
 #import lighting
 #import shading
@@ -51,7 +52,7 @@ fn shade(
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let lane = thread % LANES;
-    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
+    let pixel = params.first_item + item_of(thread, LANES, workgroup, workgroups);
     let present = pixel < params.end_item;
     let item = min(pixel, params.end_item - 1u);
     let point = points[item];

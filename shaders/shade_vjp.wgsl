@@ -24,7 +24,7 @@ fn shade_vjp(
     @builtin(workgroup_id) workgroup: vec3u,
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
-    let i = linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
+    let i = linear_thread(thread, workgroup, workgroups);
     if i >= params.count {
         return;
     }

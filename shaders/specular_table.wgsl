@@ -153,7 +153,7 @@ fn specular_table(
     @builtin(num_workgroups) workgroups: vec3u,
 ) {
     let lane = thread % LANES;
-    let pixel = params.first_item + linear_workgroup(workgroup, workgroups) * (WORKGROUP / LANES) + thread / LANES;
+    let pixel = params.first_item + item_of(thread, LANES, workgroup, workgroups);
     let exists = pixel < params.end_item;
     let item = min(pixel, params.end_item - 1u);
     let seed = hash2(params.seed, pixels[item][0].index);

@@ -4,7 +4,7 @@
 // A workgroup is a tile of the atlas, a thread one of its texels, which looks through the triangles that the host
 // binned into the tile, at most `candidates` of them in one dispatch (the loop limit of CPU drivers); the state between
 // dispatches is the hit itself, with the squared distance in t. No barriers. Reads 28 bytes per candidate, writes 16
-// per texel.
+// per texel, and reads those again in all but the first dispatch.
 
 #import hit
 
@@ -91,7 +91,8 @@ fn texels(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) wor
         let ab = corner_uvs[3u * triangle + 1u] * size - a;
         let ac = corner_uvs[3u * triangle + 2u] * size - a;
         let area = cross2(ab, ac);
-        if area != 0.0 {
+        // Where both edges are one, a fused product leaves its rounding error of an area that is 0.
+        if area != 0.0 && any(ab != ac) {
             let found = nearest(ab, ac, centre - a, area);
             if found.z < best.t {
                 best = Hit(triangle, found.x, found.y, found.z);

@@ -99,9 +99,14 @@ fn triangle_part(primitive: u32, part: u32) -> vec4f {
     return bitcast<vec4f>(triangle_word(primitive * 4u + part));
 }
 
-// The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
-// backs count as BACK_FACE_BIAS further.
-fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
+// NaN enters any box: a ray of it would visit the whole hierarchy. By the bits, as compilers may take comparisons of
+// numbers for those of finite ones.
+fn is_finite(v: vec3f) -> bool {
+    return all((bitcast<vec3u>(v) & vec3u(0x7f800000u)) != vec3u(0x7f800000u));
+}
+
+// The closest hit with 0 < t < t_max, or with `any_hit`, a constant, the first that is found.
+fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersection {
     let ray = traversal_ray(origin, direction);
     let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
     var best = Intersection(MISS, 0.0, 0.0, t_max);
@@ -110,7 +115,7 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
     var stack: array<vec2u, STACK_SIZE>;
     var depth = 0u;
     // (index of the first child, hits by priority in the high 8 bits | mask of inner children): the root alone.
-    var nodes = vec2u(0u, 0x80000000u);
+    var nodes = vec2u(0u, select(0u, 0x80000000u, is_finite(origin) && is_finite(direction)));
     loop {
         // (index of the first primitive, hit primitives as bits).
         var leaf = vec2u(0u);
@@ -155,8 +160,22 @@ fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
                 reach = counted;
             }
         }
+        if any_hit && best.primitive != MISS {
+            break;
+        }
     }
     return best;
+}
+
+// The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
+// backs count as BACK_FACE_BIAS further.
+fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
+    return trace(origin, direction, t_max, false);
+}
+
+// Whether anything is hit with 0 < t < t_max along the unit direction, either side of a triangle.
+fn is_blocked(origin: vec3f, direction: vec3f, t_max: f32) -> bool {
+    return trace(origin, direction, t_max, true).primitive != MISS;
 }
 
 // Normal of a primitive, on the side from which its corners run counter-clockwise; its length is twice the area.

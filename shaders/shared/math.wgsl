@@ -32,3 +32,13 @@ const WORKGROUP: u32 = 64u;
 fn linear_workgroup(workgroup: vec3u, workgroups: vec3u) -> u32 {
     return workgroup.y * workgroups.x + workgroup.x;
 }
+
+// Index, among all of such a dispatch, of a thread by its index in the workgroup.
+fn linear_thread(thread: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
+    return linear_workgroup(workgroup, workgroups) * WORKGROUP + thread;
+}
+
+// The item of a thread where so many `lanes`, a divisor of WORKGROUP, share one: the thread is its lane thread % lanes.
+fn item_of(thread: u32, lanes: u32, workgroup: vec3u, workgroups: vec3u) -> u32 {
+    return linear_workgroup(workgroup, workgroups) * (WORKGROUP / lanes) + thread / lanes;
+}

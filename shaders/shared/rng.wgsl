@@ -53,7 +53,7 @@ fn lattice2(index: u32, offset: vec2u) -> vec2f {
 // Cells along an edge of a square that scrambled_morton goes through.
 const MORTON_SIDE: u32 = 32u;
 
-// How many cells of a square of Z_SIDE² a Z curve passes before it comes to that in a column and a row: their bits by
+// How many cells of a square of MORTON_SIDE² a Z curve passes before it comes to that in a column and a row: their bits by
 // turns, and at every level the halves in an order of their own.
 fn scrambled_morton(cell: vec2u, seed: u32) -> u32 {
     var v = (cell | (cell << vec2u(4u))) & vec2u(0x0f0fu);

@@ -380,6 +380,21 @@ fn misused(backend: &mut dyn Backend) {
     let pair = Groups { offsets: vec![0, 2], members: vec![0, 1], references: vec![1] };
     let high = backend.group_loss(&[0.0; 2], 1, &pair, GroupTarget::Quantile(1.5)).unwrap_err().to_string();
     assert!(high.contains("quantile 1.5"), "{high}");
+    let nowhere = [points[0], SurfacePoint { position: [f32::NAN; 3], ..points[1] }];
+    let mut lost = scenes::cameras()[0];
+    let refused = [
+        backend.irradiance(&nowhere, one, &Silent).map(drop),
+        backend.punctual(&nowhere, &[], &Silent).map(drop),
+        backend.project(&nowhere, &lost).map(drop),
+        backend.shade(&shading(&nowhere).0, &materials, sampling, exact, &Silent).map(drop),
+    ];
+    for refused in refused.map(|pass| pass.unwrap_err().to_string()) {
+        assert!(refused.contains("the position of point 1 is [NaN"), "{refused}");
+    }
+    lost.world_from_camera.w_axis.x = f32::NAN;
+    for refused in [backend.primary(&lost, 0..1).map(drop), backend.project(&points, &lost).map(drop)] {
+        assert!(refused.unwrap_err().to_string().contains("the camera's pose"));
+    }
     assert!(backend.irradiance(&points, one, &Silent).is_ok());
 }
 
@@ -395,6 +410,10 @@ fn misuse_is_an_error() {
     let limit = gpu.device().limits().max_texture_dimension_2d as usize;
     let wide = backend.set_tbl(&Rgb::filled(limit + 1, 1, [1.0; 3]), &dark).unwrap_err().to_string();
     assert!(wide.contains(&format!("{limit} × {limit}")), "{wide}");
+    // What was set before had to make room.
+    let none = backend.irradiance(&points, Gather::new(1, 0, 0), &Silent).unwrap_err().to_string();
+    assert!(none.contains("no lighting is set"), "{none}");
+    backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
     assert!(backend.irradiance(&points, Gather::new(1, 0, 0), &Silent).is_ok());
     let unknown = Gpu::headless(Some("no such adapter")).err().unwrap().to_string();
     assert!(unknown.contains("no such adapter"), "{unknown}");

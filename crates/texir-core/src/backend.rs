@@ -264,7 +264,8 @@ pub struct Loss<T> {
     pub gradient: Vec<T>,
 }
 
-/// The passes, for one scene that the backend keeps. Slices are host memory; item order is kept.
+/// The passes, for one scene that the backend keeps. Slices are host memory; item order is kept. Points and cameras
+/// whose rays would be none are errors that name them.
 pub trait Backend {
     /// The adapter or processor that runs the passes: for logs, and to tell apart results that may differ in their
     /// bits.
@@ -275,11 +276,12 @@ pub trait Backend {
 
     /// Sets the radiance texture that [`Backend::irradiance`], [`Backend::shade`] and [`Backend::specular_tables`] look
     /// up at ray hits (linear RGB, nearest texel), and the lights in it that the first and the last sample. Errors on
-    /// radiance outside 0 to [`MAX_RADIANCE`], and on lights of another mesh.
+    /// radiance outside 0 to [`MAX_RADIANCE`], and on lights of another mesh, and keeps what was set before; an error of
+    /// the device leaves no lighting, as two at once may be more than it holds.
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()>;
 
     /// Sets what rays of [`Backend::irradiance`] and [`Backend::shade`] that miss the mesh see: at first `None`, black.
-    /// [`Backend::specular_tables`] ignores it.
+    /// [`Backend::specular_tables`] ignores it. An error of the device leaves `None`.
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()>;
 
     /// Primary visibility: the closest hit through every pixel centre of some rows of the view. `t` is in metres. Errors

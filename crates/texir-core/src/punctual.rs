@@ -204,9 +204,9 @@ mod tests {
             (spot(DOWN, 0.0, 2.0), "outer_cone_angle 2; expected"),
             (spot(DOWN, f32::NAN, 0.5), "inner_cone_angle is NaN"),
         ] {
-            let error = check::punctual(&[good, bad]).unwrap_err().to_string();
+            let error = check::punctual_lights(&[good, bad]).unwrap_err().to_string();
             assert!(error.contains(what), "{error}; expected {what}");
         }
-        check::punctual(&[good, spot(DOWN, 0.0, FRAC_PI_2)]).unwrap();
+        check::punctual_lights(&[good, spot(DOWN, 0.0, FRAC_PI_2)]).unwrap();
     }
 }

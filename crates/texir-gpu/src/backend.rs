@@ -3,6 +3,7 @@
 use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::Duration;
 
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Loss, Material, MaterialGrad, Projected, RoughnessGradient,
@@ -22,6 +23,7 @@ use texir_core::surface::{Hit, SurfacePoint, TexelHit};
 use texir_core::texture::{Footprints, Pyramid, SparseRows};
 
 use crate::batch::{Context, GatherShape};
+use crate::cache::Cache;
 use crate::gpu::Gpu;
 use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
@@ -37,6 +39,7 @@ pub struct GpuBackend {
     lighting: Option<Lighting>,
     shape: Option<GatherShape>,
     cache: lookup::LookupCache,
+    groups: Cache<u32>,
 }
 
 impl fmt::Debug for GpuBackend {
@@ -70,7 +73,8 @@ impl GpuBackend {
         let scene = scene.into();
         let geometry = gpu.with_error_scopes("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
         let context = Context::new(gpu.clone(), hierarchy);
-        Ok(Self { scene, context, geometry, lighting: None, shape: None, cache: Default::default() })
+        let (cache, groups) = Default::default();
+        Ok(Self { scene, context, geometry, lighting: None, shape: None, cache, groups })
     }
 
     /// Sets how samples are dealt to threads; `None` chooses by their number. Results differ only by rounding.
@@ -79,13 +83,20 @@ impl GpuBackend {
         Ok(())
     }
 
+    /// Sets how long a dispatch of the passes that trace, search or denoise should take: a tenth of a second if nothing
+    /// is set, a second at most. A host program that presents meanwhile wants milliseconds; shorter ones cost more in
+    /// all. The first of each kind is a guess, by a slow processor's speed. Results do not depend on it.
+    pub fn set_dispatch_time(&mut self, time: Duration) -> Result<()> {
+        self.context.set_dispatch_time(time)
+    }
+
     /// Runs a pass. After an error nothing stays that was kept for the next: buffers may have failed to be made.
     fn pass<T>(&mut self, name: &str, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let gpu = self.context.gpu.clone();
         let result = gpu.with_error_scopes(name, || work(self));
         if result.is_err() {
             self.context.forget();
-            self.cache = Default::default();
+            (self.cache, self.groups) = Default::default();
         }
         result
     }
@@ -118,6 +129,8 @@ impl Backend for GpuBackend {
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         check::tbl(self.scene.mesh(), radiance, lights)?;
+        // Two at once may be more than there is memory for.
+        self.lighting = None;
         let gpu = &self.context.gpu;
         let lighting =
             gpu.with_error_scopes("uploading the lighting", || Lighting::new(gpu, &self.scene, radiance, lights))?;
@@ -127,8 +140,12 @@ impl Backend for GpuBackend {
 
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
         let gpu = &self.context.gpu;
-        self.geometry.sky =
-            gpu.with_error_scopes("uploading the environment", || EnvironmentMap::new(gpu, environment))?;
+        let upload =
+            |environment| gpu.with_error_scopes("uploading the environment", || EnvironmentMap::new(gpu, environment));
+        self.geometry.sky = upload(None)?;
+        if environment.is_some() {
+            self.geometry.sky = upload(environment)?;
+        }
         Ok(())
     }
 
@@ -154,7 +171,7 @@ impl Backend for GpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
         countable(points.len())?;
-        check::irradiance(gather)?;
+        check::irradiance(points, gather)?;
         let shape = self.shape_for(gather.cosine);
         self.pass("irradiance", |b| {
             irradiance::run(&mut b.context, (&b.geometry, lighting_of(&b.lighting)?), points, gather, shape, progress)
@@ -168,7 +185,7 @@ impl Backend for GpuBackend {
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
         countable(points.len())?;
-        check::punctual(lights)?;
+        check::punctual(points, lights)?;
         self.pass("punctual", |b| punctual::run(&mut b.context, &b.geometry, points, lights, progress))
     }
 
@@ -180,6 +197,7 @@ impl Backend for GpuBackend {
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
         countable(points.len())?;
+        check::points(points)?;
         camera.check()?;
         self.pass("project", |b| project::run(&mut b.context, &b.geometry, points, camera))
     }
@@ -220,7 +238,7 @@ impl Backend for GpuBackend {
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
-        check::specular_tables(sampling)?;
+        check::specular_tables(pixels, sampling)?;
         countable(pixels.len())?;
         self.pass("specular_table", |b| {
             specular_table::run(
@@ -251,7 +269,7 @@ impl Backend for GpuBackend {
         if groups.references.is_empty() || channels == 0 {
             return Ok(Loss { value: 0.0, gradient: vec![0.0; values.len()] });
         }
-        self.pass("group_loss", |b| group_loss::run(&mut b.context, values, channels, groups, target))
+        self.pass("group_loss", |b| group_loss::run(&mut b.context, &mut b.groups, values, channels, groups, target))
     }
 
     fn lookup(

@@ -1,6 +1,6 @@
-//! Work in pieces that take about a tenth of a second each, whatever the device: a longer dispatch freezes a desktop,
-//! and its driver ends it after a few seconds. Between pieces, progress is reported and cancellation honoured. How work
-//! is cut never changes a result, as every item's samples depend on the item alone.
+//! Work in pieces that take about a tenth of a second each, or as long as the host program grants, whatever the device:
+//! a longer dispatch freezes a desktop, and its driver ends it after a few seconds. Between pieces, progress is reported
+//! and cancellation honoured. How work is cut never changes a result, as every item's samples depend on the item alone.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -18,10 +18,14 @@ use crate::pass::WORKGROUP;
 use crate::scene::BvhStorage;
 use crate::wgsl::Variant;
 
-/// How long a dispatch should take.
-const TARGET: Duration = Duration::from_millis(100);
+/// How long a dispatch should take where nobody says otherwise.
+const USUAL_TIME: Duration = Duration::from_millis(100);
 
-/// Rays of the first dispatch, before anything was measured: well below a second on a slow processor.
+/// How long one may be made to take: drivers end it after two seconds.
+const LONGEST_TIME: Duration = Duration::from_secs(1);
+
+/// Rays of the first dispatch, before anything was measured, where it has the usual time: well below a second on a slow
+/// processor.
 const FIRST_RAYS: f64 = 262_144.0;
 
 /// Rays that any dispatch may hold, however slow the last one was.
@@ -74,25 +78,37 @@ impl GatherShape {
 
 /// How many rays the next dispatch of a kernel may hold. Kernels do not share it: a ray that ends where it starts, as
 /// most of a projection's do, says nothing about one through the whole scene.
+#[derive(Clone, Copy)]
 struct DispatchBudget(f64);
 
-impl Default for DispatchBudget {
-    fn default() -> Self {
-        Self(FIRST_RAYS)
-    }
-}
-
 impl DispatchBudget {
-    /// Learns from a dispatch of so many rays that took so long.
-    fn learn(&mut self, rays: u64, seconds: f64) {
+    /// Before anything was measured.
+    fn first(target: Duration) -> Self {
+        Self((FIRST_RAYS * target.as_secs_f64() / USUAL_TIME.as_secs_f64()).max(FEWEST_RAYS))
+    }
+
+    /// Learns from a dispatch of so many rays that took so long, and should take `target`.
+    fn learn(&mut self, rays: u64, seconds: f64, target: Duration) {
         let rays = rays.max(1) as f64;
-        let on_target = rays * TARGET.as_secs_f64() / seconds.max(1e-6);
+        let on_target = rays * target.as_secs_f64() / seconds.max(1e-6);
         self.0 = on_target.min(self.0.max(rays) * GROWTH).max(FEWEST_RAYS);
     }
 
     /// How many items of `cost` rays each that is.
     fn items(&self, cost: u64) -> usize {
         (self.0 / cost.max(1) as f64).max(1.0) as usize
+    }
+
+    /// How many of the next items that is, at least one, and the rays of all these: `costs` are those of each.
+    fn items_of(&self, costs: impl IntoIterator<Item = u64>) -> (usize, u64) {
+        let (mut items, mut rays) = (0, 0);
+        for cost in costs {
+            if items > 0 && (rays + cost) as f64 > self.0 {
+                break;
+            }
+            (items, rays) = (items + 1, rays + cost);
+        }
+        (items, rays)
     }
 }
 
@@ -102,11 +118,25 @@ pub(crate) struct Context {
     pub pool: Pool,
     hierarchy: BvhStorage,
     budgets: HashMap<KernelKey, DispatchBudget>,
+    /// How long a dispatch should take.
+    target: Duration,
 }
 
 impl Context {
     pub fn new(gpu: Gpu, hierarchy: BvhStorage) -> Self {
-        Self { gpu, hierarchy, pool: Pool::default(), budgets: HashMap::new() }
+        Self { gpu, hierarchy, pool: Pool::default(), budgets: HashMap::new(), target: USUAL_TIME }
+    }
+
+    /// Sets how long a dispatch should take.
+    pub fn set_dispatch_time(&mut self, target: Duration) -> Result<()> {
+        if target.is_zero() || target > LONGEST_TIME {
+            return Err(Error::invalid(format!(
+                "dispatches of {target:?} each; expected more than 0 and at most {LONGEST_TIME:?}"
+            )));
+        }
+        self.target = target;
+        self.budgets.clear();
+        Ok(())
     }
 
     /// The kernel `shader`/`entry`, with the modules that suit the adapter.
@@ -131,14 +161,14 @@ impl Context {
         self.gpu.kernel(KernelKey { shader, entry, variant, constant })
     }
 
-    /// Records a compute pass, submits it and waits. A pass that the device refuses is an error here: it must not be
-    /// taken for a fast one.
+    /// Records a compute pass and submits it: whoever reads what it leaves waits. A pass that the device refuses is an
+    /// error here.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         self.gpu.with_error_scopes("a dispatch", || {
             let mut encoder = self.gpu.device().create_command_encoder(&Default::default());
             record(&mut encoder.begin_compute_pass(&Default::default()));
             self.gpu.queue().submit([encoder.finish()]);
-            self.gpu.finish()
+            Ok(())
         })
     }
 
@@ -158,13 +188,25 @@ impl Context {
     pub fn timed(&mut self, kernel: &Kernel, rays: u64, record: impl FnOnce(&mut wgpu::ComputePass)) -> Result<()> {
         let start = Instant::now();
         self.submit(record)?;
-        self.budgets.entry(kernel.key()).or_default().learn(rays, start.elapsed().as_secs_f64());
+        self.gpu.finish()?;
+        let mut budget = self.budget(kernel);
+        budget.learn(rays, start.elapsed().as_secs_f64(), self.target);
+        self.budgets.insert(kernel.key(), budget);
         Ok(())
+    }
+
+    fn budget(&self, kernel: &Kernel) -> DispatchBudget {
+        self.budgets.get(&kernel.key()).copied().unwrap_or(DispatchBudget::first(self.target))
     }
 
     /// How many items of `cost` rays each go into a kernel's next dispatch.
     pub fn items(&self, kernel: &Kernel, cost: u64) -> usize {
-        self.budgets.get(&kernel.key()).unwrap_or(&DispatchBudget::default()).items(cost)
+        self.budget(kernel).items(cost)
+    }
+
+    /// [`DispatchBudget::items_of`] a kernel's next dispatch.
+    pub fn items_of(&self, kernel: &Kernel, costs: impl IntoIterator<Item = u64>) -> (usize, u64) {
+        self.budget(kernel).items_of(costs)
     }
 
     /// Runs a kernel with one ray per item over `items` items: `dispatch` handles one range of them.
@@ -254,14 +296,14 @@ pub(crate) trait BatchedPass {
 mod tests {
     use super::*;
 
-    /// Seconds that dispatches of 32-ray items take on a device of so many rays per second, which `speed` gives by
-    /// dispatch.
-    fn durations(dispatches: usize, speed: impl Fn(usize) -> f64) -> Vec<f64> {
-        let mut pace = DispatchBudget::default();
+    /// Seconds that dispatches of 32-ray items, which should take `target`, do on a device of so many rays per second,
+    /// which `speed` gives by dispatch.
+    fn durations(dispatches: usize, target: Duration, speed: impl Fn(usize) -> f64) -> Vec<f64> {
+        let mut pace = DispatchBudget::first(target);
         let take = |number| {
             let rays = 32 * pace.items(32) as u64;
             let seconds = rays as f64 / speed(number);
-            pace.learn(rays, seconds);
+            pace.learn(rays, seconds, target);
             seconds
         };
         (0..dispatches).map(take).collect()
@@ -270,7 +312,7 @@ mod tests {
     #[test]
     fn dispatches_take_a_tenth_of_a_second_on_any_device() {
         for speed in [1e5, 1e6, 1e7, 1e8, 1e10] {
-            let durations = durations(12, |_| speed);
+            let durations = durations(12, USUAL_TIME, |_| speed);
             // The first is a guess that even a tenth of two processor cores' speed keeps within seconds.
             assert!(durations[0] < 2.7, "{speed} rays/s: {durations:?}");
             assert!(durations[1..].iter().all(|s| *s <= 0.1001), "{speed} rays/s: {durations:?}");
@@ -279,8 +321,25 @@ mod tests {
     }
 
     #[test]
+    fn dispatches_take_as_long_as_the_host_program_grants() {
+        for speed in [1e7, 1e8, 1e10] {
+            let durations = durations(12, Duration::from_millis(4), |_| speed);
+            assert!(durations.iter().all(|s| *s <= 0.0041), "{speed} rays/s: {durations:?}");
+            assert!(durations[11] > 0.0036, "{speed} rays/s: {durations:?}");
+        }
+    }
+
+    #[test]
+    fn a_dispatch_holds_items_by_what_they_cost() {
+        let budget = DispatchBudget(100.0);
+        assert_eq!(budget.items_of([30, 0, 70, 1, 5]), (3, 100));
+        assert_eq!(budget.items_of([500, 1]), (1, 500));
+        assert_eq!(budget.items_of([]), (0, 0));
+    }
+
+    #[test]
     fn a_device_that_becomes_slow_exceeds_its_time_once() {
-        let durations = durations(12, |number| if number < 6 { 1e7 } else { 1e6 });
+        let durations = durations(12, USUAL_TIME, |number| if number < 6 { 1e7 } else { 1e6 });
         assert!((durations[6] - 1.0).abs() < 0.05, "{durations:?}");
         assert!(durations[7..].iter().all(|s| *s <= 0.1001), "{durations:?}");
     }

@@ -1,6 +1,6 @@
 //! Arrays that stay on the device between calls, found again by their content.
 //!
-//! A fit passes the same footprints and pyramids in every step. Reading them through costs a small part of uploading
+//! A fit passes the same footprints, pyramids and groups in every step. Reading them through costs a small part of uploading
 //! them, and is safe where the address of a host array, which may be freed and used again, is not.
 
 use std::marker::PhantomData;
@@ -42,6 +42,12 @@ impl<T: Pod> Cache<T> {
             bytes -= self.entries.remove(0).1.bytes();
         }
         Ok(view)
+    }
+
+    /// How many there are.
+    #[cfg(test)]
+    pub fn len(&self) -> usize {
+        self.entries.len()
     }
 }
 

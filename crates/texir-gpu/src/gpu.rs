@@ -1,6 +1,7 @@
 //! A device to run on: owned (headless) or borrowed from a host program.
 
 use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,6 +18,8 @@ pub struct Gpu {
     info: Arc<wgpu::AdapterInfo>,
     rejected_adapters: Arc<[String]>,
     kernels: Arc<Mutex<Kernels>>,
+    /// Why the device was lost: of devices of our own.
+    lost: Arc<OnceLock<String>>,
 }
 
 impl fmt::Debug for Gpu {
@@ -37,6 +40,9 @@ const MAX_POLL_INTERVAL: Duration = Duration::from_millis(1);
 
 /// A hundred times what a dispatch should take: a wait as long as that may be one for a device that was lost.
 const TOO_LONG: Duration = Duration::from_secs(10);
+
+/// What failed where a poll did.
+const WAITING: &str = "waiting for the device failed";
 
 /// The instance of [`Gpu::headless`], which makes one device at a time: drivers have crashed where several threads did
 /// so at once (NVIDIA's: gfx-rs/wgpu#5930 and #10234).
@@ -131,17 +137,34 @@ impl Gpu {
             ..Default::default()
         }))
         .map_err(|e| Error::device(format!("cannot create a device on adapter {:?}: {e}", adapter.get_info().name)))?;
-        Self::from_device(device, queue)
+        let gpu = Self::from_device(device, queue)?;
+        let lost = gpu.lost.clone();
+        gpu.device.set_device_lost_callback(move |reason, message| {
+            // The first reason is the one that counts.
+            let _ = lost.set(format!("{reason:?}: {message}"));
+        });
+        Ok(gpu)
     }
 
     /// Borrows a host program's device and queue (both are handles). Make the device with [`required_limits`]; one that
     /// the kernels do not run on is an error that names the limits. While a backend works, poll the device and wait for
     /// it as you like, but not with a time limit: wgpu up to 30.0.2 panics where another thread polls meanwhile
     /// (gfx-rs/wgpu#9958). Callbacks of yours may be called by the thread of the backend.
+    ///
+    /// Where the device is lost, passes are errors. wgpu panics then where it is polled, which is caught (but not where
+    /// panics abort) after its message has gone to your panic hook; why the device was lost only your own callback is
+    /// told, as none is set here.
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = Arc::new(device.adapter_info());
         match missing(&device.limits()) {
-            None => Ok(Self { device, queue, info, rejected_adapters: Arc::default(), kernels: Arc::default() }),
+            None => Ok(Self {
+                device,
+                queue,
+                info,
+                rejected_adapters: Arc::default(),
+                kernels: Arc::default(),
+                lost: Arc::default(),
+            }),
             Some(what) => Err(Error::device(format!(
                 "the limits of device {:?} are too low: {what}; request texir_gpu::required_limits",
                 info.name
@@ -205,10 +228,22 @@ impl Gpu {
             Some(error) => {
                 // One of them may have failed to be made, and would fail wherever it is used from now on.
                 *self.kernels() = Kernels::default();
-                Err(Error::device(format!("{}: {what}: {error}", self.info.name)))
+                // What is wrong may be that the device was lost, of which a poll tells.
+                let _ = self.poll(wgpu::PollType::Poll);
+                Err(self.failed(what, error))
             }
-            None => result,
+            // wgpu reports no loss to scopes: what was asked for on the way may be nothing at all.
+            None => match self.lost.get() {
+                Some(_) => result.and(Err(self.failed(what, "nothing can be done on it any more"))),
+                None => result,
+            },
         }
+    }
+
+    /// An error of the device's, with the reason where it was lost.
+    fn failed(&self, what: &str, error: impl std::fmt::Display) -> Error {
+        let lost = self.lost.get().map_or(String::new(), |why| format!(" (the device was lost: {why})"));
+        Error::device(format!("{}: {what}: {error}{lost}", self.info.name))
     }
 
     /// Waits until all that was submitted is done.
@@ -223,9 +258,6 @@ impl Gpu {
 
     /// Waits for what a callback of the device's sends.
     pub(crate) fn wait_for<T>(&self, from: &Receiver<T>) -> Result<T> {
-        let failed = |e: &dyn std::fmt::Display| {
-            Error::device(format!("{}: waiting for the device failed: {e}", self.info.name))
-        };
         let start = Instant::now();
         loop {
             // No wait of wgpu's serves: one without a limit keeps the host program from presenting, and one with a
@@ -235,11 +267,24 @@ impl Gpu {
                 true => wgpu::PollType::Poll,
                 false => wgpu::PollType::Wait { submission_index: None, timeout: None },
             };
-            self.device.poll(ask).map_err(|e| failed(&e))?;
+            self.poll(ask)?;
             match from.try_recv() {
                 Ok(answer) => return Ok(answer),
                 Err(TryRecvError::Empty) => pause(start.elapsed()),
-                Err(TryRecvError::Disconnected) => return Err(failed(&"its callback was dropped")),
+                Err(TryRecvError::Disconnected) => return Err(self.failed(WAITING, "its callback was dropped")),
+            }
+        }
+    }
+
+    /// Asks the device what is done. An error where wgpu panics, as it does where it finds the device lost: it is in the
+    /// midst of nothing of ours then.
+    fn poll(&self, ask: wgpu::PollType) -> Result<()> {
+        match catch_unwind(AssertUnwindSafe(|| self.device.poll(ask))) {
+            Ok(polled) => polled.map(drop).map_err(|error| self.failed(WAITING, error)),
+            Err(panic) => {
+                let said = panic.downcast_ref::<String>().map(String::as_str);
+                let said = said.or(panic.downcast_ref().copied()).unwrap_or("a panic");
+                Err(self.failed(WAITING, said))
             }
         }
     }
@@ -277,6 +322,16 @@ fn no_adapter(wanted: Option<&str>, found: &[String]) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_panic_while_the_device_is_polled_is_an_error() {
+        // As wgpu's own where it finds the device lost, which no call can bring about.
+        let gpu = Gpu::headless(std::env::var("TEXIR_ADAPTER").ok().as_deref()).unwrap();
+        gpu.queue.on_submitted_work_done(|| panic!("Parent device is lost"));
+        let error = gpu.finish().unwrap_err();
+        assert!(matches!(&error, Error::Device(what) if what.contains("Parent device is lost")), "{error}");
+        gpu.finish().unwrap();
+    }
 
     #[test]
     fn adapters_are_asked_for_no_more_than_they_have_nor_for_less_than_large_scenes_need() {

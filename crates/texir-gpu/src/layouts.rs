@@ -4,12 +4,12 @@
 use std::mem::offset_of;
 
 use texir_core::backend::{Gathered, Projected, RoughnessGradient};
-use texir_core::brdf::DIELECTRIC_F0;
+use texir_core::brdf::{DIELECTRIC_F0, Masking};
 use texir_core::environment::{BrightPixel, BrightRow};
 use texir_core::neighbours::{Entry, FAR, NEAR};
 use texir_core::rng::MORTON_SIDE;
-use texir_core::scene::MAX_LEVELS;
 use texir_core::scene::trace::BACK_FACE_BIAS;
+use texir_core::scene::{MAX_LEVELS, SLAB_ROUNDING};
 use texir_core::specular_table::{LOBES, NODES, STRATA};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
@@ -21,7 +21,7 @@ use crate::pass::group_loss::GroupLossParams;
 use crate::pass::irradiance::IrradianceParams;
 use crate::pass::lookup::LookupParams;
 use crate::pass::mip::MipParams;
-use crate::pass::primary::{CameraUniform, PrimaryParams};
+use crate::pass::primary::{CameraUniform, EQUIRECTANGULAR, PrimaryParams};
 use crate::pass::project::ProjectParams;
 use crate::pass::punctual::PunctualParams;
 use crate::pass::radiance_loss::RadianceLossParams;
@@ -237,6 +237,9 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("primary", "WORKGROUP", WORKGROUP as f64),
         ("primary", "STACK_SIZE", (MAX_LEVELS + 1) as f64),
         ("primary", "BACK_FACE_BIAS", BACK_FACE_BIAS),
+        ("primary", "SLAB_ROUNDING", SLAB_ROUNDING.into()),
+        ("primary", "NO_TRIANGLE", Hit::NONE.into()),
+        ("primary", "EQUIRECTANGULAR", EQUIRECTANGULAR.into()),
         ("shade", "DIELECTRIC_F0", DIELECTRIC_F0),
         ("irradiance", "MORTON_SIDE", MORTON_SIDE.into()),
         ("group_loss", "THREADS", THREADS.into()),
@@ -246,6 +249,10 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("specular_table", "STRATA", STRATA as f64),
         ("specular_table", "LOBES", LOBES.len() as f64),
         ("specular_table", "LANES", specular_table::SHAPE.threads_per_item.into()),
+        ("specular_table", "FROM_LOBES", specular_table::FROM_LOBES.into()),
+        ("specular_table", "FROM_COSINE", specular_table::FROM_COSINE.into()),
+        ("specular_table", "FROM_LIGHTS", specular_table::FROM_LIGHTS.into()),
+        ("specular_table", "SMITH", f64::from(Masking::Smith as u32)),
     ]
 }
 

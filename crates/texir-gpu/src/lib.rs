@@ -2,8 +2,10 @@
 //!
 //! [`GpuBackend`] implements [`texir_core::backend::Backend`], which is all that the algorithms of `texir-core` need.
 //! [`Gpu::headless`] makes a device; [`Gpu::from_device`] borrows one that an engine owns (made with
-//! [`required_limits`], or for small scenes with wgpu's default limits), and then nothing is set on the device, and no
-//! dispatch is much longer than a tenth of a second. The engine's wgpu must be the version that is re-exported here as
+//! [`required_limits`], or for small scenes with wgpu's default limits), and then nothing is set on the device. Passes
+//! that trace, search or denoise do so in dispatches of about a tenth of a second, or of
+//! [`GpuBackend::set_dispatch_time`]. Those that go through their arrays once (lookups, losses, `shade_vjp`) are not
+//! split: they take as long as that memory does. The engine's wgpu must be the version that is re-exported here as
 //! [`wgpu`].
 //!
 //! The features `vulkan`, `metal` and `dx12`, on by default, are those of wgpu: what devices are found by.

@@ -92,7 +92,7 @@ impl Surfaces {
         if !channel(&self.emission, |v| (0.0..=MAX_RADIANCE).contains(v)) {
             return Err(Error::invalid(format!("the emission map leaves [0, {MAX_RADIANCE:e}]; expected radiance")));
         }
-        check::punctual(&self.lights)
+        check::punctual_lights(&self.lights)
     }
 
     /// What [`irradiance`] of these surfaces depends on, for its checkpoints, which hold as long as none of it changes:

@@ -132,8 +132,8 @@ fn moved(mesh: &Mesh, [width, height]: [usize; 2], point: &SurfacePoint, within:
 /// Whether nothing stands between two points.
 fn sees(scene: &Scene, from: &SurfacePoint, to: &SurfacePoint) -> bool {
     let way = Vec3::from(to.position) - Vec3::from(from.position);
-    let closest = |direction: Vec3| Trace::<f32>::closest(scene, V3::of(from.position), V3::of(direction.to_array()));
-    way.try_normalize().and_then(closest).is_none_or(|hit| hit.t > way.length())
+    let is_blocked = |direction: Vec3| scene.is_blocked(V3(from.position), V3(direction.to_array()), way.length());
+    !way.try_normalize().is_some_and(is_blocked)
 }
 
 #[cfg(test)]

@@ -8,7 +8,8 @@ use crate::lights::Lights;
 use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::specular_table::TableSampling;
+use crate::specular_table::{STRATA, TableSampling};
+use crate::surface::SurfacePoint;
 use crate::texture::{Footprints, Pyramid, SparseRows};
 
 /// That a slice has as many items as expected.
@@ -25,6 +26,30 @@ fn drawn(samples: u32) -> Result<()> {
         1..=MAX_SAMPLES => Ok(()),
         _ => Err(Error::invalid(format!("{samples} samples are asked for at a point; expected at most {MAX_SAMPLES}"))),
     }
+}
+
+/// That all vectors of a point are numbers: no ray of others meets anything.
+fn finite<const FIELDS: usize>(what: &str, i: usize, fields: [(&str, [f32; 3]); FIELDS]) -> Result<()> {
+    match fields.into_iter().find(|(_, vector)| !vector.iter().all(|v| v.is_finite())) {
+        Some((field, vector)) => {
+            Err(Error::invalid(format!("the {field} of {what} {i} is {vector:?}; expected finite numbers")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// That rays can leave from points.
+pub fn points(points: &[SurfacePoint]) -> Result<()> {
+    let check = |(i, p): (usize, &SurfacePoint)| finite("point", i, [("position", p.position), ("normal", p.normal)]);
+    points.iter().enumerate().try_for_each(check)
+}
+
+/// That rays can leave from points to shade.
+fn shade_points(what: &str, points: &[ShadePoint]) -> Result<()> {
+    points
+        .iter()
+        .enumerate()
+        .try_for_each(|(i, p)| finite(what, i, [("position", p.position), ("normal", p.normal), ("view", p.view)]))
 }
 
 /// That the texture-based lighting has texels and possible radiance, and that its lights are those of the mesh.
@@ -56,8 +81,9 @@ pub fn rows(rows: &Range<usize>, height: usize) -> Result<()> {
 }
 
 /// That irradiance is gathered by some cosine samples ([`super::Gathered::back_faces`] is their share), and not by too
-/// many of a kind; and that texels which share a sequence have a part of it each.
-pub fn irradiance(gather: Gather) -> Result<()> {
+/// many of a kind; that rays can leave from points; and that texels which share a sequence have a part of it each.
+pub fn irradiance(points: &[SurfacePoint], gather: Gather) -> Result<()> {
+    self::points(points)?;
     if let Sequences::Shared { width, part, parts } = gather.sequences
         && (width == 0 || part >= parts)
     {
@@ -70,22 +96,31 @@ pub fn irradiance(gather: Gather) -> Result<()> {
     drawn(gather.light.max(1))
 }
 
-/// That the tables' directions can be drawn: not too many of a kind.
-pub fn specular_tables(sampling: TableSampling) -> Result<()> {
+/// That the tables' rays can leave from their points, and directions be drawn: not too many of a kind.
+pub fn specular_tables(pixels: &[[ShadePoint; STRATA]], sampling: TableSampling) -> Result<()> {
+    shade_points("stratum", pixels.as_flattened())?;
     [sampling.lobe, sampling.cosine, sampling.light].into_iter().try_for_each(|samples| drawn(samples.max(1)))
 }
 
+/// That rays can leave from points, and that lights are possible ones.
+pub fn punctual(points: &[SurfacePoint], lights: &[PunctualLight]) -> Result<()> {
+    self::points(points)?;
+    self::punctual_lights(lights)
+}
+
 /// That lights are possible ones.
-pub fn punctual(lights: &[PunctualLight]) -> Result<()> {
+pub fn punctual_lights(lights: &[PunctualLight]) -> Result<()> {
     let possible = |(i, light): (usize, &PunctualLight)| {
         light.check().map_err(|what| Error::invalid(format!("light {i}: {what}")))
     };
     lights.iter().enumerate().try_for_each(possible)
 }
 
-/// That every point has a material, and none is a perfect mirror, of which no density can be sampled.
+/// That rays can leave from points, and that each has a material; none is a perfect mirror, of which no density can be
+/// sampled.
 pub fn shade(points: &[ShadePoint], materials: &[Material], sampling: Sampling) -> Result<()> {
     sized("materials to shade", materials.len(), points.len())?;
+    shade_points("point", points)?;
     if let Some(material) = materials.iter().find(|material| !(material.roughness > 0.0 && material.roughness <= 1.0)) {
         return Err(Error::invalid(format!(
             "roughness {} of a material to shade; expected one in (0, 1]",
@@ -200,7 +235,7 @@ mod tests {
     #[test]
     fn texels_that_share_a_sequence_have_a_part_of_it_each() {
         let shared = |width, part, parts| {
-            irradiance(Gather { sequences: Sequences::Shared { width, part, parts }, ..Gather::new(1, 0, 0) })
+            irradiance(&[], Gather { sequences: Sequences::Shared { width, part, parts }, ..Gather::new(1, 0, 0) })
         };
         for [width, part, parts] in [[8, 0, 0], [8, 2, 2], [0, 0, 1]] {
             assert!(
@@ -209,6 +244,27 @@ mod tests {
             );
         }
         assert!(shared(8, 1, 2).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_number_is_named_with_its_place() {
+        let sound = SurfacePoint { position: [1.0; 3], triangle: 0, normal: [0.0, 0.0, 1.0], index: 0 };
+        let nowhere = SurfacePoint { position: [0.0, f32::NAN, 0.0], ..sound };
+        let faceless = SurfacePoint { normal: [f32::INFINITY, 0.0, 0.0], ..sound };
+        let named = |result: Result<()>, what: &str| {
+            let error = result.unwrap_err().to_string();
+            assert!(error.contains(what) && error.contains("expected finite numbers"), "{error}");
+        };
+        named(irradiance(&[sound, nowhere], Gather::new(1, 0, 0)), "the position of point 1 is [0.0, NaN, 0.0]");
+        named(punctual(&[faceless], &[]), "the normal of point 0 is [inf, 0.0, 0.0]");
+        let pixel = ShadePoint { view: [f32::NAN; 3], ..ShadePoint::default() };
+        let (material, sampling) = (Material::dielectric([0.5; 3], 0.5), Sampling { samples: 1, seed: 0 });
+        named(shade(&[pixel], &[material], sampling), "the view of point 0 is [NaN, NaN, NaN]");
+        let mut strata = [ShadePoint::default(); STRATA];
+        strata[STRATA - 1] = pixel;
+        let sampling = TableSampling::of_rays(64, crate::brdf::Masking::Smith, 0);
+        named(specular_tables(&[[ShadePoint::default(); STRATA], strata], sampling), "the view of stratum 7 is [NaN");
+        assert!(points(&[sound]).is_ok());
     }
 
     #[test]

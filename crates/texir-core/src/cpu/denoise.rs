@@ -346,8 +346,8 @@ impl<R: Real> Fit<R> {
         }
     }
 
-    /// The fitted value at the centre, `ridge` the weight of there being no curvature; the weighted mean where
-    /// extrapolation makes it negative. `None` where neither is a number.
+    /// The fitted value at the centre, `ridge` the weight of there being no curvature; the weighted mean where nothing
+    /// can be fitted, or extrapolation makes it negative. `None` where neither is a number.
     fn centre(&self, ridge: R) -> Option<V3<R>> {
         let (moments, values) = (self.moments.map(Lanes::sum), self.values.map(|terms| terms.map(Lanes::sum)));
         let weight = moments[0].value();
@@ -361,11 +361,10 @@ impl<R: Real> Fit<R> {
             matrix[r * TERMS + r] += if r > 0 { f64::from(RIDGE) * weight + curved } else { 0.0 };
         }
         let mut terms: [[f64; 3]; TERMS] = std::array::from_fn(|k| values.map(|v| v[k].value()));
-        cholesky::solve(&mut matrix, &mut terms)?;
-        let fitted = V3(terms[0].map(R::of));
+        let fitted = cholesky::solve(&mut matrix, &mut terms).map(|()| V3(terms[0].map(R::of)));
         let mean = V3(values.map(|v| v[0])) * (R::of(1.0) / moments[0]);
         let plausible = |v: &V3<R>| v.0.iter().all(|c| c.value().is_finite() && c.value() >= 0.0);
-        [fitted, mean].into_iter().find(plausible)
+        fitted.into_iter().chain([mean]).find(plausible)
     }
 }
 
@@ -520,6 +519,16 @@ mod tests {
         for (k, &i) in order.iter().enumerate() {
             assert!((other[k][0] - straight[i][0]).abs() < 1e-4);
         }
+    }
+
+    #[test]
+    fn where_nothing_can_be_fitted_the_mean_is_taken() {
+        let mut fit = Fit::<f64>::new();
+        fit.moments[0] = Lanes::splat(0.5);
+        fit.values.iter_mut().for_each(|terms| terms[0] = Lanes::splat(1.0));
+        // Of squares, as only rounding leaves it.
+        fit.moments[3] = Lanes::splat(-1.0);
+        assert_eq!(fit.centre(0.0).map(|V3(mean)| mean), Some([2.0; 3]));
     }
 
     #[test]

@@ -79,7 +79,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             let index = stretch.wrapping_mul(environment_samples).wrapping_add(i);
             let (direction, pixel) = sky.sample_environment(lattice2(index, offset));
             let cosine = normal.dot(direction);
-            if !(cosine > R::of(0.0)) || lighting.tracer.closest(origin, direction).is_some() {
+            if !(cosine > R::of(0.0)) || lighting.tracer.is_blocked(origin, direction, R::of(f64::INFINITY)) {
                 continue;
             }
             let density = n_cosine * cosine * R::of(FRAC_1_PI) + n_sky * R::of(f64::from(sky.bright().density[pixel]));

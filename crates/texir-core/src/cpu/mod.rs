@@ -124,11 +124,14 @@ impl Backend for CpuBackend {
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
         check::tbl(self.scene.mesh(), radiance, lights)?;
+        // Two at once may be more than there is memory for.
+        self.tbl = None;
         self.tbl = Some((radiance.clone(), lights.clone()));
         Ok(())
     }
 
     fn set_environment(&mut self, environment: Option<&Environment>) -> Result<()> {
+        self.environment = None;
         self.environment = environment.cloned();
         Ok(())
     }
@@ -161,7 +164,7 @@ impl Backend for CpuBackend {
         gather: Gather,
         progress: &dyn Progress,
     ) -> Result<Vec<Gathered>> {
-        check::irradiance(gather)?;
+        check::irradiance(points, gather)?;
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(points, progress, u64::from(gather.cosine) + u64::from(gather.light), |_, point| {
             irradiance::irradiance::<f32, _>(&lighting, lights, point, gather)
@@ -174,7 +177,7 @@ impl Backend for CpuBackend {
         lights: &[PunctualLight],
         progress: &dyn Progress,
     ) -> Result<Vec<[f32; 3]>> {
-        check::punctual(lights)?;
+        check::punctual(points, lights)?;
         let lights: Vec<_> = lights.iter().map(PunctualLight::coefficients).collect();
         map_in_chunks(points, progress, lights.len() as u64, |_, point| {
             let sum = |sum, light| sum + punctual::punctual::<f32>(&*self.scene, light, point);
@@ -188,6 +191,7 @@ impl Backend for CpuBackend {
     }
 
     fn project(&mut self, points: &[SurfacePoint], camera: &Camera) -> Result<Vec<Projected>> {
+        check::points(points)?;
         camera.check()?;
         Ok(points.par_iter().map(|p| project::project::<f32>(&*self.scene, camera, p)).collect())
     }
@@ -239,7 +243,7 @@ impl Backend for CpuBackend {
         sampling: TableSampling,
         progress: &dyn Progress,
     ) -> Result<Vec<Curve>> {
-        check::specular_tables(sampling)?;
+        check::specular_tables(pixels, sampling)?;
         let (lighting, lights) = self.lighting()?;
         map_in_chunks(pixels, progress, u64::from(sampling.rays()), |_, strata| {
             Curve::new(specular_table::specular_table(&lighting, lights, strata, f0, sampling).map(V3::to_f32))

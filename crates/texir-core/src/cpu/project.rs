@@ -18,7 +18,7 @@ pub fn project<R: Real>(tracer: &impl Trace<R>, camera: &Camera, point: &Surface
     let distance = to_camera.dot(to_camera).sqrt();
     let direction = to_camera * (R::of(1.0) / distance);
     let cosine = V3::of(point.normal).dot(direction);
-    let blocked = || tracer.closest(position, direction).is_some_and(|hit| hit.t < distance * R::of(CLEAR_SHARE));
+    let blocked = || tracer.is_blocked(position, direction, distance * R::of(CLEAR_SHARE));
     if !(cosine > R::of(0.0)) || blocked() {
         return HIDDEN;
     }

@@ -26,7 +26,7 @@ pub fn punctual<R: Real>(tracer: &impl Trace<R>, light: &Coefficients, point: &S
         (direction, distance, window * cone * cone / d2)
     };
     let cosine = V3::of(point.normal).dot(direction);
-    let blocked = || tracer.closest(origin, direction).is_some_and(|hit| hit.t < distance * R::of(CLEAR_SHARE));
+    let blocked = || tracer.is_blocked(origin, direction, distance * R::of(CLEAR_SHARE));
     if !(cosine > zero && falloff > zero) || blocked() {
         return V3::zero();
     }

@@ -70,13 +70,12 @@ impl<'a> World<'a> {
         })
     }
 
-    /// Whether nothing is in between two points. Mostly so: looking for the closest of what is takes little longer than
-    /// for any.
+    /// Whether nothing is in between two points.
     fn visible(&self, from: Vec3, to: Vec3) -> bool {
         let way = to - from;
         let length = way.length();
         let direction = V3((way / length).to_array());
-        self.scene.closest_within(V3(from.to_array()), direction, length * (1.0 - 1e-4)).is_none()
+        !self.scene.is_blocked(V3(from.to_array()), direction, length * (1.0 - 1e-4))
     }
 
     /// Emitted radiance towards the ray that met `vertex`.

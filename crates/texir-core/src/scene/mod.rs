@@ -16,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::real::V3;
 use trace::{Trace, TraceHit};
+pub use wide::SLAB_ROUNDING;
 use wide::WideBvh;
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
@@ -97,10 +98,8 @@ impl Scene {
         &self.bvh.primitive_indices
     }
 
-    /// [`Trace::closest`] nearer than `length`.
-    pub(crate) fn closest_within(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> Option<TraceHit<f32>> {
-        let wide = self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh));
-        wide.closest(origin, direction, length)
+    fn wide(&self) -> &WideBvh {
+        self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh))
     }
 
     /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.
@@ -115,7 +114,11 @@ impl Trace<f32> for Scene {
     }
 
     fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        self.closest_within(origin, direction, f32::INFINITY)
+        self.wide().closest(origin, direction)
+    }
+
+    fn is_blocked(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> bool {
+        self.wide().is_blocked(origin, direction, length)
     }
 }
 

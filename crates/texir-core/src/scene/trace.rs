@@ -31,6 +31,9 @@ pub trait Trace<R: Real>: Sync {
     /// The closest hit with t > 0 along the unit direction, either side of a triangle; backs count as
     /// [`BACK_FACE_BIAS`] further.
     fn closest(&self, origin: V3<R>, direction: V3<R>) -> Option<TraceHit<R>>;
+
+    /// Whether anything is hit with 0 < t < `length` along the unit direction, either side of a triangle.
+    fn is_blocked(&self, origin: V3<R>, direction: V3<R>, length: R) -> bool;
 }
 
 /// Ray–triangle intersection (Möller and Trumbore 1997) by a corner and the edges from it, two-sided.
@@ -59,6 +62,16 @@ pub fn intersect<R: Real>(
 #[derive(Debug)]
 pub struct BruteForce<'a>(pub &'a Mesh);
 
+impl BruteForce<'_> {
+    /// All hits with t > 0, by triangle.
+    fn hits<R: Real>(&self, origin: V3<R>, direction: V3<R>) -> impl Iterator<Item = TraceHit<R>> {
+        (0..self.0.triangles.len() as u32).filter_map(move |triangle| {
+            let [a, b, c] = self.0.corners(triangle).map(|corner| V3::of(corner.to_array()));
+            intersect(triangle, a, [b - a, c - a], origin, direction)
+        })
+    }
+}
+
 impl<R: Real> Trace<R> for BruteForce<'_> {
     fn mesh(&self) -> &Mesh {
         self.0
@@ -69,14 +82,15 @@ impl<R: Real> Trace<R> for BruteForce<'_> {
         let rank =
             |hit: &TraceHit<R>| hit.t.value() + if hit.back { BACK_FACE_BIAS * (hit.t.value() + size) } else { 0.0 };
         let mut best: Option<TraceHit<R>> = None;
-        for triangle in 0..self.0.triangles.len() as u32 {
-            let [a, b, c] = self.0.corners(triangle).map(|corner| V3::of(corner.to_array()));
-            if let Some(hit) = intersect(triangle, a, [b - a, c - a], origin, direction)
-                && best.is_none_or(|best| rank(&hit) < rank(&best))
-            {
+        for hit in self.hits(origin, direction) {
+            if best.is_none_or(|best| rank(&hit) < rank(&best)) {
                 best = Some(hit);
             }
         }
         best
+    }
+
+    fn is_blocked(&self, origin: V3<R>, direction: V3<R>, length: R) -> bool {
+        self.hits(origin, direction).any(|hit| hit.t < length)
     }
 }

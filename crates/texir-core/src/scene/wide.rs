@@ -15,14 +15,13 @@ use super::hierarchy::MAX_LEVELS;
 use super::trace::{BACK_FACE_BIAS, TraceHit, intersect};
 use crate::mesh::Mesh;
 use crate::real::V3;
-use crate::surface::Hit;
 
 /// Children of a node.
 const WIDTH: usize = 8;
 /// Children that are on the stack at most: all but one of every level.
 const STACK_SIZE: usize = (WIDTH - 1) * MAX_LEVELS;
 /// Slab tests round: exits are moved out by two units in the last place (Ize, "Robust BVH Ray Traversal", JCGT 2013).
-const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
+pub const SLAB_ROUNDING: f32 = 1.0 + 2.0 * f32::EPSILON;
 /// Intersection tests round differently from slab tests, and boxes were rounded when they were packed: they are wider
 /// by this share of the largest coordinate of their node.
 const MARGIN: f32 = 4.0 * f32::EPSILON;
@@ -67,6 +66,12 @@ struct Ray {
     inverse: [f32; 3],
     /// Which of [`Node::bounds`] it enters by along each axis; it leaves by the other.
     near: [usize; 3],
+}
+
+/// How far a hit counts as, of a ray that begins as far from the origin as `size`.
+#[inline(always)]
+fn counted(t: f32, back: bool, size: f32) -> f32 {
+    if back { t + BACK_FACE_BIAS as f32 * (t + size) } else { t }
 }
 
 /// A child whose box the ray enters, and when.
@@ -154,33 +159,46 @@ impl WideBvh {
         all
     }
 
-    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle; backs count as
-    /// [`BACK_FACE_BIAS`] further.
-    pub fn closest(&self, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
+    /// See [`Trace::closest`](super::trace::Trace::closest).
+    pub fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
+        self.fastest::<false>(origin, direction, f32::INFINITY)
+    }
+
+    /// See [`Trace::is_blocked`](super::trace::Trace::is_blocked).
+    pub fn is_blocked(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> bool {
+        self.fastest::<true>(origin, direction, length).is_some()
+    }
+
+    /// [`Self::search`] by the fastest test of nodes that the processor has.
+    fn fastest<const ANY: bool>(&self, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
             // SAFETY: the processor has it.
-            return unsafe { avx2::closest(self, origin, direction, t_max) };
+            return unsafe { avx2::search::<ANY>(self, origin, direction, t_max) };
         }
-        self.search(origin, direction, t_max, portable)
+        self.search::<ANY>(origin, direction, t_max, portable)
     }
 
-    /// [`Self::closest`] with a test of nodes: when the ray enters each box, and, a bit each, whether it does before
-    /// the greatest t.
+    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle, or the first that is
+    /// found where `ANY` will do. By a test of nodes: when the ray enters each box, and, a bit each, whether it does
+    /// before the greatest t.
     #[inline(always)]
-    fn search(
+    fn search<const ANY: bool>(
         &self,
         origin: V3<f32>,
         direction: V3<f32>,
         t_max: f32,
         test: impl Fn(&Node, &Ray, f32) -> ([f32; WIDTH], u32),
     ) -> Option<TraceHit<f32>> {
+        // NaN enters any box, and hits nothing in it.
+        if !origin.0.iter().chain(&direction.0).all(|x| x.is_finite()) {
+            return None;
+        }
         let ray = Ray::new(origin, direction);
         let size = origin.0.into_iter().fold(0.0, |size: f32, x| size.max(x.abs()));
-        let mut best = TraceHit { triangle: Hit::NONE, u: 0.0, v: 0.0, t: t_max, back: false };
-        // How far it counts as.
-        let counted = |t: f32, back: bool| if back { t + BACK_FACE_BIAS as f32 * (t + size) } else { t };
-        let mut reach = counted(t_max, true);
+        let mut best = None;
+        // How far it counts as: within the limit are backs too, however far they count as.
+        let mut reach = counted(t_max, true, size);
         // The nearest on top.
         let mut stack = ArrayVec::<StackEntry, STACK_SIZE>::new();
         let mut child = Child::ROOT;
@@ -198,8 +216,11 @@ impl WideBvh {
                 for primitive in &self.primitives[child.primitives()] {
                     let edges = primitive.edges.map(V3);
                     let hit = intersect(primitive.triangle, V3(primitive.corner), edges, origin, direction);
-                    if let Some(hit) = hit.filter(|hit| hit.t < t_max && counted(hit.t, hit.back) < reach) {
-                        (best, reach) = (hit, counted(hit.t, hit.back));
+                    if let Some(hit) = hit.filter(|hit| hit.t < t_max && counted(hit.t, hit.back, size) < reach) {
+                        (best, reach) = (Some(hit), counted(hit.t, hit.back, size));
+                        if ANY {
+                            return best;
+                        }
                     }
                 }
             }
@@ -207,7 +228,7 @@ impl WideBvh {
                 match stack.pop() {
                     Some(entered) if entered.distance <= reach => break entered.child,
                     Some(_) => {}
-                    None => return (best.triangle != Hit::NONE).then_some(best),
+                    None => return best,
                 }
             }
         }
@@ -270,8 +291,13 @@ mod avx2 {
     use crate::scene::trace::TraceHit;
 
     #[target_feature(enable = "avx2")]
-    pub fn closest(wide: &WideBvh, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
-        wide.search(origin, direction, t_max, |node, ray, t_max| test(node, ray, t_max))
+    pub fn search<const ANY: bool>(
+        wide: &WideBvh,
+        origin: V3<f32>,
+        direction: V3<f32>,
+        t_max: f32,
+    ) -> Option<TraceHit<f32>> {
+        wide.search::<ANY>(origin, direction, t_max, |node, ray, t_max| test(node, ray, t_max))
     }
 
     /// All boxes at once.
@@ -346,15 +372,42 @@ mod tests {
             let same = |found: Option<TraceHit<f32>>| {
                 assert_eq!(found.map(|h| (h.triangle, h.t)), expected.map(|h| (h.triangle, h.t)), "{direction:?}");
             };
-            same(wide.closest(origin, direction, f32::INFINITY));
-            same(wide.search(origin, direction, f32::INFINITY, portable));
-            if let Some(hit) = expected {
-                same(wide.closest(origin, direction, hit.t * 1.001));
-                assert!(wide.closest(origin, direction, hit.t).is_none(), "{direction:?}");
-                hits += 1;
+            same(wide.closest(origin, direction));
+            same(wide.search::<false>(origin, direction, f32::INFINITY, portable));
+            let Some(hit) = expected else { continue };
+            for (length, blocked) in [(hit.t * 1.001, true), (hit.t, false)] {
+                assert_eq!(wide.is_blocked(origin, direction, length), blocked, "{direction:?}");
+                assert_eq!(
+                    wide.search::<true>(origin, direction, length, portable).is_some(),
+                    blocked,
+                    "{direction:?}"
+                );
             }
+            hits += 1;
         }
         assert!((300..3700).contains(&hits), "{hits} of 4000 rays hit");
+    }
+
+    #[test]
+    fn backs_hide_what_is_behind_them_however_far_they_count_as() {
+        // A back just nearer than the point that is looked at, and a front just beyond it, which counts as nearer.
+        let sheet = |z: f32, corners: [[f32; 2]; 3]| corners.map(|[x, y]| Vec3::new(x, y, z));
+        let (back, front) = ([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]], [[1.0, -1.0], [-1.0, -1.0], [0.0, 1.0]]);
+        let mesh = Mesh {
+            positions: [sheet(4.0, back), sheet(4.000_01, front)].concat(),
+            normals: vec![Vec3::Z; 6],
+            uvs: vec![Vec2::ZERO; 6],
+            triangles: vec![[0, 1, 2], [3, 4, 5]],
+        };
+        let scene = Scene::new(mesh).unwrap();
+        let exact = BruteForce(scene.mesh());
+        let (origin, direction) = (V3([0.0f32; 3]), V3([0.0, 0.0, 1.0]));
+        let closest = scene.closest(origin, direction).unwrap();
+        assert!(closest.triangle == 1 && !closest.back, "{closest:?}");
+        for (length, blocked) in [(4.000_005, true), (4.0, false)] {
+            assert_eq!(scene.is_blocked(origin, direction, length), blocked, "{length}");
+            assert_eq!(exact.is_blocked(origin, direction, length), blocked, "{length}");
+        }
     }
 
     #[test]
@@ -376,21 +429,21 @@ mod tests {
             let away = i as f32 * 0.01;
             for x in [away, -away] {
                 let (origin, direction) = (V3([x, 0.5, 0.2]), V3([-x.signum(), 0.0, 0.0]));
-                let hit = scene.closest_within(origin, direction, f32::INFINITY).unwrap();
+                let hit = scene.closest(origin, direction).unwrap();
                 assert_eq!(hit.triangle, 0, "from {x}");
             }
         }
     }
 
     #[test]
-    fn rays_that_are_not_numbers_hit_nothing() {
+    fn rays_that_are_not_numbers_are_not_traced() {
         let scene = scene();
         let wide = WideBvh::new(&scene.bvh, scene.mesh());
         let (numbers, nan) = (V3([0.5, 0.5, 0.5]), f32::NAN);
-        for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([nan, 0.5, 0.5])] {
+        let traced = |_: &Node, ray: &Ray, _: f32| panic!("from {:?} along 1 over {:?}", ray.origin, ray.inverse);
+        for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([f32::INFINITY, 0.5, 0.5])] {
             for (origin, direction) in [(numbers, none), (none, numbers), (none, none)] {
-                assert!(wide.closest(origin, direction, f32::INFINITY).is_none());
-                assert!(wide.search(origin, direction, f32::INFINITY, portable).is_none());
+                assert!(wide.search::<false>(origin, direction, f32::INFINITY, traced).is_none());
             }
         }
     }

@@ -18,6 +18,7 @@ use crate::lights::Lights;
 use crate::progress::Silent;
 use crate::raster::{luminance, mean_of_channels};
 use crate::real::V3;
+use crate::scene::trace::Trace;
 use crate::stats::median;
 use crate::surface::SurfacePoint;
 
@@ -215,7 +216,7 @@ fn light_of(fusion: &Fusion<'_>, side: &Side, radiance: &[[f32; 3]], points: &[S
         let cosines = Vec3::from(point.normal).dot(direction).max(0.0) * (-place.facing.dot(direction)).max(0.0);
         let is_free = || {
             let origin = V3(point.position);
-            fusion.scene.closest_within(origin, V3(direction.to_array()), length * (1.0 - 1e-3)).is_none()
+            !fusion.scene.is_blocked(origin, V3(direction.to_array()), length * (1.0 - 1e-3))
         };
         // As of a disc: near it, light does not grow without end.
         let light = place.sent * cosines / (length * length + place.area / PI);

@@ -7,18 +7,20 @@ use texir_core::denoise::{
     RIDGE, TOLERANCE,
 };
 use texir_core::error::Result;
-use texir_core::neighbours::{Entry, FAR, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, Neighbours};
+use texir_core::neighbours::{Entry, FAR, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, NEAR, Neighbours};
 use texir_core::progress::Progress;
 
 use super::WORKGROUP;
 use crate::batch::{BATCH_BYTES, Context};
 
-/// The passes, and about how many rays' time one takes of a point with [`USUAL`] points around it.
-const PASSES: [(&str, u64); 5] =
-    [("smooth_halves", 4), ("measure_noise", 4), ("regress", 24), ("clean", 4), ("conserve", 12)];
-
-/// Points that a thread looks at where texels are of one size.
-const USUAL: u64 = 550;
+/// The passes, in how many columns of cells each looks at the points, and how many of them take a ray's time.
+const PASSES: [(&str, usize, u64); 5] = [
+    ("smooth_halves", NEAR, 25),
+    ("measure_noise", NEAR, 25),
+    ("regress", FAR, 23),
+    ("clean", NEAR, 25),
+    ("conserve", FAR, 46),
+];
 
 /// Points that a thread may look at: a software driver silently ends it after 65,535 iterations of all its loops, and
 /// on any device a few threads with many more would take longer than drivers allow.
@@ -82,13 +84,19 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>, progress: &dyn Progress) 
         ("cleaned", pool.reserve(gpu, "denoise cleaned", 16 * count as u64)?),
         ("conserved", conserved.clone()),
     ];
-    for (entry, cost) in PASSES {
+    for (entry, columns, points_per_ray) in PASSES {
         let kernel = ctx.kernel("denoise", entry, None)?;
-        let cost = cost * (neighbours.most() / USUAL).max(1);
+        let cost = |spans: &[[u32; 2]; FAR]| {
+            let looked_at: u64 = spans[..columns].iter().map(|[start, end]| u64::from(end - start)).sum();
+            1 + looked_at / points_per_ray
+        };
+        let costs: Vec<u64> = spans.iter().map(cost).collect();
         let mut first = 0;
         while first < count {
             progress.check()?;
-            let end = count.min(first + ctx.items(&kernel, cost).min(MOST_POINTS));
+            let next = entries[first..].iter().take(MOST_POINTS).map(|entry| costs[entry.cell as usize]);
+            let (points, rays) = ctx.items_of(&kernel, next);
+            let end = first + points;
             // Points are in the order of their cells.
             let [first_cell, last_cell] = [first, end - 1].map(|i| entries[i].cell);
             let spans = &spans[first_cell as usize..=last_cell as usize];
@@ -114,7 +122,7 @@ pub(crate) fn run(ctx: &mut Context, noisy: Noisy<'_>, progress: &dyn Progress) 
             let mut resources = vec![("params", params.binding()), ("spans", spans.binding())];
             resources.extend(on_device.iter().map(|(name, view)| (*name, view.binding())));
             let groups = kernel.bind(ctx.gpu.device(), &resources)?;
-            ctx.trace(&kernel, &groups, (end - first).div_ceil(WORKGROUP), cost * (end - first) as u64)?;
+            ctx.trace(&kernel, &groups, (end - first).div_ceil(WORKGROUP), rays)?;
             first = end;
         }
     }

@@ -6,6 +6,7 @@ use texir_core::cpu;
 use texir_core::error::Result;
 
 use crate::batch::Context;
+use crate::cache::Cache;
 
 /// Members of a group at most on a software driver, which silently ends a thread after 65,535 iterations of all its
 /// loops: 256 threads go through a group seven times.
@@ -20,9 +21,10 @@ pub(crate) struct GroupLossParams {
     pub share: f32,
 }
 
-/// See [`texir_core::backend::Backend::group_loss`].
+/// See [`texir_core::backend::Backend::group_loss`]. Groups are fixed for a whole fit: `cache` keeps their arrays.
 pub(crate) fn run(
     ctx: &mut Context,
+    cache: &mut Cache<u32>,
     values: &[f32],
     channels: usize,
     groups: &Groups,
@@ -43,9 +45,9 @@ pub(crate) fn run(
     let share = 1.0 / (groups.members.len() * channels).max(1) as f32;
     let params = ctx.params(&GroupLossParams { channels: channels as u32, quantile, jobs: jobs as u32, share });
     let (pool, gpu) = (&mut ctx.pool, &ctx.gpu);
-    let offsets = pool.upload(gpu, "group offsets", &groups.offsets)?;
-    let members = pool.upload(gpu, "group members", &groups.members)?;
-    let references = pool.upload(gpu, "group references", &groups.references)?;
+    let offsets = cache.get(gpu, "group offsets", &groups.offsets)?;
+    let members = cache.get(gpu, "group members", &groups.members)?;
+    let references = cache.get(gpu, "group references", &groups.references)?;
     let gradient = pool.reserve(gpu, "d_values", size_of_val(values) as u64)?;
     let count = values.len();
     let values = pool.upload(gpu, "values", values)?;
@@ -67,4 +69,27 @@ pub(crate) fn run(
     ctx.submit(|pass| kernel.record(pass, &bound, jobs))?;
     let value: f64 = ctx.pool.download::<f32>(&ctx.gpu, &losses, jobs)?.into_iter().map(f64::from).sum();
     Ok(Loss { value: value as f32, gradient: ctx.pool.download(&ctx.gpu, &gradient, count)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::Gpu;
+    use crate::scene::BvhStorage;
+
+    #[test]
+    fn groups_stay_on_the_device() {
+        let gpu = Gpu::headless(std::env::var("TEXIR_ADAPTER").ok().as_deref()).unwrap();
+        let (mut ctx, mut cache) = (Context::new(gpu, BvhStorage::Buffers), Cache::default());
+        let groups =
+            |members: [u32; 3]| Groups { offsets: vec![0, 2, 3], members: members.to_vec(), references: vec![1, 0] };
+        let mut loss = |groups: &Groups, kept: usize| {
+            let loss = run(&mut ctx, &mut cache, &[1.0, 3.0, 7.0], 1, groups, GroupTarget::Mean).unwrap();
+            assert_eq!(cache.len(), kept);
+            loss
+        };
+        let first = loss(&groups([0, 1, 2]), 3);
+        assert_eq!(loss(&groups([0, 1, 2]), 3), first);
+        assert_ne!(loss(&groups([0, 2, 1]), 4), first, "other members");
+    }
 }

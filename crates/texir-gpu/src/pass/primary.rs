@@ -11,6 +11,10 @@ use super::WORKGROUP;
 use crate::batch::Context;
 use crate::scene::Geometry;
 
+/// Kinds of cameras, as `camera.wgsl` has them.
+pub(crate) const EQUIRECTANGULAR: u32 = 0;
+const PINHOLE: u32 = 1;
+
 /// A camera as `camera.wgsl` has it.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -32,8 +36,8 @@ pub(crate) struct CameraUniform {
 impl From<&Camera> for CameraUniform {
     fn from(camera: &Camera) -> Self {
         let (kind, [fx, fy, cx, cy]) = match camera.projection {
-            Projection::Equirectangular => (0, [1.0, 1.0, 0.0, 0.0]),
-            Projection::Pinhole { fx, fy, cx, cy } => (1, [fx, fy, cx, cy]),
+            Projection::Equirectangular => (EQUIRECTANGULAR, [1.0, 1.0, 0.0, 0.0]),
+            Projection::Pinhole { fx, fy, cx, cy } => (PINHOLE, [fx, fy, cx, cy]),
         };
         let m = camera.world_from_camera;
         let [right, up, back, position] =

@@ -19,8 +19,11 @@ use crate::scene::{Geometry, Lighting};
 /// How samples are dealt to threads; the shader has the same number of lanes.
 pub(crate) const SHAPE: GatherShape = GatherShape { threads_per_item: 8, rays_per_thread: 32 };
 
-/// Values of the shader's constant `TECHNIQUE`: lobes, cosine, lights.
-const TECHNIQUES: [u32; 3] = [0, 1, 2];
+/// Values of the shader's constant `TECHNIQUE`.
+pub(crate) const FROM_LOBES: u32 = 0;
+pub(crate) const FROM_COSINE: u32 = 1;
+pub(crate) const FROM_LIGHTS: u32 = 2;
+const TECHNIQUES: [u32; 3] = [FROM_LOBES, FROM_COSINE, FROM_LIGHTS];
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]

@@ -48,8 +48,13 @@ pub(crate) fn run(
         let mut row = 0;
         while row < tile_rows {
             // Candidates are counted like rays.
-            let candidates = u64::from(CANDIDATES.min(most).max(1));
-            let end = tile_rows.min(row + ctx.items(&kernel, candidates).div_ceil(width * TILE));
+            let tests = |row: usize| {
+                let tiles = bins.offsets[row * bins.columns..=(row + 1) * bins.columns].windows(2);
+                let candidates = tiles.map(|w| (w[1] - w[0]).saturating_sub(first_candidate).clamp(1, CANDIDATES));
+                candidates.map(|n| u64::from(n) * (TILE * TILE) as u64).sum()
+            };
+            let (rows_of_tiles, tests) = ctx.items_of(&kernel, (row..tile_rows).map(tests));
+            let end = row + rows_of_tiles;
             let params = ctx.params(&TexelsParams {
                 width: width as u32,
                 height: height as u32,
@@ -71,7 +76,6 @@ pub(crate) fn run(
                 ],
             )?;
             let (columns, tiles) = (bins.columns as u32, (end - row) as u32);
-            let tests = candidates * ((end - row) * width * TILE) as u64;
             ctx.timed(&kernel, tests, |pass| kernel.record_grid(pass, &groups, columns, tiles))?;
             row = end;
         }
