@@ -34,7 +34,7 @@ pub fn lacks(evaluation: &Evaluation) -> Option<&'static str> {
     match (is_scored, evaluation.true_materials.is_some()) {
         (_, true) => None,
         (true, false) => {
-            Some("No ground-truth textures in this capture: what true materials would score is not known.")
+            Some("No ground-truth textures in this capture, so that their own scores are not known.")
         }
         (false, false) => Some("No ground truth in this capture: albedo and roughness are not scored."),
     }
