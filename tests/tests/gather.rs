@@ -346,7 +346,7 @@ fn misused(backend: &mut dyn Backend) {
     assert!(clusterless.contains("clusters"), "{clusterless}");
     let short = Rgb { data: vec![[1.0; 3]; 63], ..scenes::smooth_light(8) };
     let short = backend.set_tbl(&short, &Lights::none(scene.mesh())).unwrap_err().to_string();
-    assert!(short.contains("63 values where 64 are expected"), "{short}");
+    assert!(short.contains("holds 63 values") && short.contains("8×8 pixels"), "{short}");
     for impossible in [f32::NAN, -1.0, f32::INFINITY, 1e20] {
         let mut light = scenes::smooth_light(8);
         light.data[19][1] = impossible;
