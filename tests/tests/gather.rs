@@ -393,7 +393,7 @@ fn misused(backend: &mut dyn Backend) {
     }
     lost.world_from_camera.w_axis.x = f32::NAN;
     for refused in [backend.primary(&lost, 0..1).map(drop), backend.project(&points, &lost).map(drop)] {
-        assert!(refused.unwrap_err().to_string().contains("the camera's pose"));
+        assert!(refused.unwrap_err().to_string().contains("the camera's world_from_camera"));
     }
     assert!(backend.irradiance(&points, one, &Silent).is_ok());
 }
