@@ -33,9 +33,7 @@ pub fn lacks(evaluation: &Evaluation) -> Option<&'static str> {
     let is_scored = [train, novel].iter().any(|views| views.albedo.is_some() || views.roughness.is_some());
     match (is_scored, evaluation.true_materials.is_some()) {
         (_, true) => None,
-        (true, false) => {
-            Some("No ground-truth textures in this capture, so that their own scores are not known.")
-        }
+        (true, false) => Some("No ground-truth textures in this capture, so that their own scores are not known."),
         (false, false) => Some("No ground truth in this capture: albedo and roughness are not scored."),
     }
 }
