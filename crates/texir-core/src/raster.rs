@@ -42,14 +42,9 @@ impl<T: Clone> Raster<T> {
 impl<T> Raster<T> {
     /// Wraps `data`, which must hold `width · height` values.
     pub fn new(width: usize, height: usize, data: Vec<T>) -> Result<Self> {
-        if width.checked_mul(height) == Some(data.len()) {
-            Ok(Self { width, height, data })
-        } else {
-            Err(Error::invalid(format!(
-                "{} values are given for an image of {width}×{height}; expected one per pixel",
-                data.len()
-            )))
-        }
+        let raster = Self { width, height, data };
+        raster.check("the image")?;
+        Ok(raster)
     }
 
     /// The value at column `x`, row `y`.
@@ -122,9 +117,7 @@ impl Rgb {
     pub fn finite(&self) -> Mask {
         self.map(|pixel| pixel.iter().all(|v| v.is_finite()))
     }
-}
 
-impl Rgb {
     /// That it is an image of radiance that light may have; `what` names it in the error.
     pub(crate) fn check_radiance(&self, what: &str) -> Result<()> {
         self.check(what)?;
