@@ -254,7 +254,7 @@ impl Twin<'_> {
 fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     let (document, albedo) = cornell();
     let model = load(&document, 128);
-    let scene = Arc::new(Scene::new(model.mesh.clone()).unwrap());
+    let scene = Arc::new(model.scene().unwrap());
     let mut backend = CpuBackend::new(scene.clone());
     let atlas = Atlas::new(&mut backend, model.size).unwrap();
     let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
@@ -319,7 +319,7 @@ fn square_reflecting(
     let material = document.raw_material(material);
     document.quad(SQUARE, material, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
     let model = load_reflecting(&document, 16, reflected);
-    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let mut backend = CpuBackend::new(model.scene().unwrap());
     let atlas = Atlas::new(&mut backend, [16, 16]).unwrap();
     model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap()
 }
@@ -387,7 +387,7 @@ fn a_point_light_above_a_plane_follows_the_square_law() {
     let above = Mat4::from_translation(Vec3::new(2.0, 2.0, 2.0));
     document.light(json!({ "type": "point", "intensity": 100.0, "color": [1.0, 0.5, 0.0] }), above);
     let model = load(&document, 65);
-    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let mut backend = CpuBackend::new(model.scene().unwrap());
     let atlas = Atlas::new(&mut backend, [65, 65]).unwrap();
     let surfaces = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();
     let solved = solve(&mut backend, &atlas, &surfaces, &BOUNCES);
@@ -489,7 +489,7 @@ fn what_cannot_be_baked_is_an_error_that_says_why() {
     let white = document.material([0.5; 3], [0.0; 3]);
     document.quad(SQUARE, white, Mat4::IDENTITY, &[coordinates(0.0, 1.0)]);
     let model = load(&document, 16);
-    let scene = Arc::new(Scene::new(model.mesh.clone()).unwrap());
+    let scene = Arc::new(model.scene().unwrap());
     let mut backend = CpuBackend::new(scene.clone());
     let atlas = Atlas::new(&mut backend, [16, 16]).unwrap();
     let good = model.surfaces(&mut backend, &Texels::of(&atlas), None).unwrap();

@@ -2,8 +2,8 @@
 //! emission (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
 //! Base colour is the albedo, also of metals, whose reflection is treated as diffuse; on request so is the specular
-//! reflection of dielectrics ([`BounceAlbedo`]). Alpha, vertex colours, skins and morph targets are ignored, with a
-//! warning.
+//! reflection of dielectrics ([`BounceAlbedo`]). Light passes through primitives that are less than half opaque; others
+//! are opaque everywhere. Vertex colours, skins and morph targets are ignored, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -11,25 +11,26 @@ use std::path::Path;
 
 use glam::{Mat4, Vec2, Vec3};
 use gltf::khr_lights_punctual::Kind;
-use gltf::{Document, Material, Node, Semantic};
+use gltf::{Node, Semantic};
 use rayon::prelude::*;
 
 use super::Surfaces;
 use super::materials::materials;
-use super::texture::{Colour, Footprint, Images, Texture, encoded};
+use super::shading::{BounceAlbedo, Shading, shading};
+use super::texture::{Colour, Footprint, Images, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
 use crate::brdf::Masking;
 use crate::environment::Environment;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, listed};
 use crate::glb::check_length;
-use crate::image_io::TransferCurve;
 use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
+use crate::scene::Scene;
 use crate::specular_albedo::specular_albedo;
 use crate::surface::{SurfacePoint, TexelHit};
 
@@ -39,15 +40,14 @@ const LOOKUPS: usize = 2;
 /// Normals against the front are told of where they are on more than this share of the surface.
 const FEW: f64 = 1e-3;
 
-/// Reflectances in files may be above 1 by so much, from few digits.
-const ROUNDED: f32 = 1e-3;
+/// Primitives of less opacity are panes.
+const SOLID: f32 = 0.5;
 
 /// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only
 /// add gloss do not matter to what is Lambertian.
-const LIGHTING: [geometry::Ignored; 6] = [
+const LIGHTING: [geometry::Ignored; 5] = [
     ("KHR_materials_pbrSpecularGlossiness", "its colours are left out: convert materials to metallic-roughness"),
     ("KHR_materials_unlit", "such surfaces take light, reflect it and cast shadows: leave out those that must not"),
-    ("KHR_materials_transmission", "no light passes: leave out panes that must not cast shadows"),
     ("KHR_materials_diffuse_transmission", "no light passes"),
     ("EXT_lights_image_based", "it does not shine: give the image as --environment"),
     ("EXT_lights_ies", "lamps shine without their profiles"),
@@ -66,6 +66,8 @@ pub(crate) struct Part {
     pub material: Option<usize>,
     /// The node's name, or its index.
     pub name: String,
+    /// Whether light passes as if it were not there.
+    pub is_pane: bool,
 }
 
 impl Part {
@@ -74,26 +76,6 @@ impl Part {
         let uvs: usize = uvs.iter().map(|set| size_of_val(&set[..])).sum();
         (size_of_val(&positions[..]) + size_of_val(&normals[..]) + uvs + size_of_val(&triangles[..])) as u64
     }
-}
-
-/// Which reflections the bounces carry.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BounceAlbedo {
-    /// Base colour alone: surfaces are Lambertian.
-    Diffuse,
-    /// Base colour plus the [`specular_albedo`] of dielectrics, as if that were diffuse.
-    DiffuseAndSpecular,
-}
-
-/// What a material emits and reflects.
-struct Shading {
-    /// As the file calls it, for messages.
-    name: String,
-    albedo: Colour,
-    emission: Colour,
-    /// How rough (green) and how much of a metal (blue) it is, where that matters.
-    metallic_roughness: Option<Colour>,
-    double_sided: bool,
 }
 
 /// A scene as its file describes it, with the coordinates of its lightmap.
@@ -168,7 +150,7 @@ pub fn read_gltf(
         return Err(Error::file(path, "has no triangles with an area; expected a scene"));
     }
     let mut images = Images::default();
-    let shading = shading(path, &document, bounce_albedo, |image, curve| images.place(path, image, &buffers, curve))?;
+    let shading = shading(path, &document, &buffers, bounce_albedo, &mut images)?;
     // All come along into the baked scene: what cannot is to be known before the bake.
     materials(path, document.as_json().materials.clone(), false)?;
     let files: Vec<u64> = document
@@ -177,9 +159,11 @@ pub fn read_gltf(
         .collect::<Result<_>>()?;
     let geometry: u64 = parts.iter().map(|part| part.memory() + size_of_val(&part.uvs[0][..]) as u64).sum();
     check_length(geometry + files.iter().sum::<u64>()).map_err(|what| Error::file(path, what))?;
+    let transparent = find_panes(&mut parts, &shading);
     let mut model =
         Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
     let mut told = model.without_coordinates();
+    told.extend(transparent);
     told.extend(model.lay_out(size, progress)?);
     told.extend(model.turned_away());
     told.extend(model.mesh.misplaced());
@@ -188,6 +172,14 @@ pub fn read_gltf(
 }
 
 impl Model {
+    /// The mesh as light meets it: it passes through panes. Errors where there is nothing else, and as
+    /// [`Scene::check`].
+    pub fn scene(&self) -> Result<Scene> {
+        let pane_of: Vec<bool> =
+            self.parts.iter().flat_map(|part| std::iter::repeat_n(part.is_pane, part.triangles.len())).collect();
+        Scene::with_panes(self.mesh.clone(), |triangle| pane_of[triangle as usize])
+    }
+
     /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in
     /// parts.
     pub fn memory(&self) -> u64 {
@@ -246,7 +238,7 @@ impl Model {
         for part in &self.parts {
             let Shading { albedo, emission, metallic_roughness, .. } = &self.shading[self.shading_of(part)];
             let used = [albedo, emission].into_iter().chain(metallic_roughness);
-            let sets: BTreeSet<usize> = used.filter_map(|c| Some(c.texture.as_ref()?.set)).collect();
+            let sets: BTreeSet<usize> = used.filter_map(|c| Some(c.texture.as_ref()?.placement.set)).collect();
             let missing = sets.into_iter().filter(|set| part.has_uvs.get(*set) != Some(&true));
             missing.for_each(|set| *lacking.entry(set).or_default() += 1);
         }
@@ -284,7 +276,8 @@ impl Model {
 
     /// Names of the materials in the scene that reflect at least a `share` of the light in some channel, on average.
     pub(super) fn reflecting(&self, share: f32) -> Vec<String> {
-        let used: BTreeSet<usize> = self.parts.iter().map(|part| self.shading_of(part)).collect();
+        let solid = self.parts.iter().filter(|part| !part.is_pane);
+        let used: BTreeSet<usize> = solid.map(|part| self.shading_of(part)).collect();
         let used = used.into_iter().map(|shading| &self.shading[shading]);
         used.filter(|shading| shading.albedo.mean(&self.images).max_element() >= share)
             .map(|s| s.name.clone())
@@ -307,7 +300,7 @@ impl Model {
 
     /// The place of a part's material in `shading`.
     fn shading_of(&self, part: &Part) -> usize {
-        part.material.unwrap_or(self.shading.len() - 1)
+        part.shading(self.shading.len())
     }
 
     /// Per triangle of the mesh: the place in `shading`, and the part with its first vertex.
@@ -354,8 +347,13 @@ impl Part {
         let uvs = uvs.into_iter().map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect()).collect();
         let named = node.name().or_else(|| node.mesh().and_then(|mesh| mesh.name()));
         let name = named.map_or(format!("node {}", node.index()), str::to_owned);
-        let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name };
+        let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name, is_pane: false };
         Ok(part.with_normals(&normals))
+    }
+
+    /// The place of its material among so many, the last of which is glTF's default.
+    fn shading(&self, count: usize) -> usize {
+        self.material.unwrap_or(count - 1)
     }
 
     /// Where normals are missing, the specification asks for flat ones: every triangle takes vertices of its own.
@@ -376,54 +374,26 @@ impl Part {
     }
 }
 
-/// All materials of the document, then glTF's default. `place` gives every image that they use its place in [`Images`].
-fn shading(
-    path: &Path,
-    document: &Document,
-    bounce_albedo: BounceAlbedo,
-    mut place: impl FnMut(&gltf::Image, TransferCurve) -> Result<usize>,
-) -> Result<Vec<Shading>> {
-    let mut colour = |factor: Vec3, info: Option<gltf::texture::Info>, curve: TransferCurve| {
-        let texture = |info: gltf::texture::Info| Ok(Texture::new(&info, place(&info.texture().source(), curve)?));
-        Ok(Colour { factor, texture: info.map(texture).transpose()? })
-    };
-    let mut of = |material: Material| -> Result<Shading> {
-        let base = material.pbr_metallic_roughness();
-        let [r, g, b, _] = base.base_color_factor();
-        let name = material.name().map(|name| format!("\"{name}\""));
-        let name = name.or_else(|| Some(format!("material {}", material.index()?))).unwrap_or_default();
-        let metallic_roughness = Vec3::new(0.0, base.roughness_factor(), base.metallic_factor());
-        let strength = material.emissive_strength().unwrap_or(1.0);
-        let emitted = Vec3::from(material.emissive_factor()) * strength;
-        let reflects = [r, g, b].iter().all(|v| (0.0..=1.0 + ROUNDED).contains(v));
-        if !(emitted.min_element() >= 0.0 && emitted.is_finite() && reflects) {
-            return Err(Error::file(
-                path,
-                format!(
-                    "{name} emits {emitted} and reflects ({r}, {g}, {b}); expected emissiveFactor and emissiveStrength of at least 0, \
-                     baseColorFactor from 0 to 1"
-                ),
-            ));
+/// Tells which parts light passes through, and what to tell the user of those that are transparent in any way. What
+/// shines is no pane, or no ray would find it.
+fn find_panes(parts: &mut [Part], shading: &[Shading]) -> Vec<String> {
+    let (mut panes, mut solid) = (Vec::new(), Vec::new());
+    for part in parts {
+        let Shading { opacity, emission, .. } = &shading[part.shading(shading.len())];
+        let opaque = opacity.over(&part.positions, &part.uvs, &part.triangles);
+        part.is_pane = opaque < SOLID && emission.factor == Vec3::ZERO;
+        if opaque < 1.0 {
+            let names = if part.is_pane { &mut panes } else { &mut solid };
+            names.push(format!("\"{}\"", part.name));
         }
-        Ok(Shading {
-            name,
-            albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
-            emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
-            metallic_roughness: match bounce_albedo {
-                BounceAlbedo::DiffuseAndSpecular => {
-                    Some(colour(metallic_roughness, base.metallic_roughness_texture(), TransferCurve::Linear)?)
-                }
-                BounceAlbedo::Diffuse => None,
-            },
-            double_sided: material.double_sided(),
-        })
-    };
-    let mut all: Vec<Shading> = document.materials().map(&mut of).collect::<Result<_>>()?;
-    let [black, white] = [Vec3::ZERO, Vec3::ONE].map(|factor| Colour { factor, texture: None });
-    let name = "glTF's default (of primitives without a material)".to_owned();
-    // A metal, and so white as it is.
-    all.push(Shading { name, albedo: white, emission: black, metallic_roughness: None, double_sided: false });
-    Ok(all)
+    }
+    let told = [
+        (panes, "less than half opaque, and let all light through, untinted"),
+        (solid, "transparent in places, and count as opaque: at least half of their surface is, or they shine"),
+    ];
+    let sentence =
+        |(names, what): &(Vec<String>, &str)| format!("{} primitives are {what}: {}", names.len(), listed(names));
+    told.iter().filter(|(names, _)| !names.is_empty()).map(sentence).collect()
 }
 
 /// A light in the frame of its node, shining along −Z.

@@ -19,8 +19,12 @@ mod gltf;
 mod layout;
 #[cfg(feature = "files")]
 mod materials;
+#[cfg(feature = "files")]
+mod opacity;
 mod punctual;
 mod series;
+#[cfg(feature = "files")]
+mod shading;
 mod solve;
 #[cfg(all(test, feature = "files"))]
 mod tests;
@@ -34,8 +38,10 @@ mod unlit;
 #[cfg(feature = "files")]
 pub use self::export::write_lightmapped_glb;
 #[cfg(feature = "files")]
-pub use self::gltf::{BounceAlbedo, Model, read_gltf};
+pub use self::gltf::{Model, read_gltf};
 pub use self::series::Remainder;
+#[cfg(feature = "files")]
+pub use self::shading::BounceAlbedo;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
 pub use self::unfinished::BounceLimit;
@@ -96,7 +102,7 @@ impl Surfaces {
     }
 
     /// What [`irradiance`] of these surfaces depends on, for its checkpoints, which hold as long as none of it changes:
-    /// the backend's mesh and name, all of the surfaces, the size of their maps, [`Bounces::quality`] and texir's
+    /// the backend's scene and name, all of the surfaces, the size of their maps, [`Bounces::quality`] and texir's
     /// version. The tolerance and the number of bounces are not in it: a bake may go on with others.
     pub fn identity(&self, backend: &dyn Backend, quality: &Quality) -> String {
         let Self { albedo, emission, lights, environment } = self;

@@ -131,7 +131,7 @@ fn png() -> String {
 /// What a scene's surfaces are per texel of a map of `size` columns.
 fn surfaces_of(source: &Path, size: usize) -> Surfaces {
     let model = read_gltf(source, size, BounceAlbedo::Diffuse, &Silent).unwrap();
-    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let mut backend = CpuBackend::new(model.scene().unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     model.surfaces(&mut backend, &texels, None).unwrap()
 }
@@ -323,7 +323,7 @@ fn over() -> Mat4 {
 /// that does not arrive.
 fn told(source: PathBuf, most: u32, limit: BounceLimit) -> [Option<String>; 2] {
     let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
-    let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
+    let mut backend = CpuBackend::new(model.scene().unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 0, 1), error: None, denoise: None };
@@ -465,39 +465,114 @@ fn what_is_lit_under_a_roof_of_one_sheet_is_not_inside_of_something() {
     assert_eq!(told(scene, 2, Wanted), [None, None]);
 }
 
+/// The mean irradiance of a floor under a lamp, where `roof` is between both: a sheet of a material, wider than it is
+/// high.
+fn under_a_roof(roof: Mat4, material: Option<Value>) -> f32 {
+    let folder = tempfile::tempdir().unwrap();
+    let wide = Mat4::from_scale_rotation_translation(Vec3::new(9.0, 1.0, 9.0), Default::default(), Vec3::splat(-4.0));
+    let roof = Mat4::from_translation(4.0 * Vec3::Y) * roof * wide;
+    let placed = [(0, Mat4::IDENTITY), (1, roof)];
+    let scene = write_lit(folder.path(), &placed, Vec3::new(0.5, 2.0, 0.5), vec![None, material]);
+    let model = read_gltf(scene, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
+    let mut backend = CpuBackend::new(model.scene().unwrap());
+    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
+    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
+    let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
+    let bounces = Bounces { quality, tolerance: 0.0, most: 2 };
+    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+    // The floor has the mesh's first two triangles.
+    let (mut sum, mut count) = (0.0, 0);
+    let of_floor = |point: &SurfacePoint| point.triangle < 2;
+    solved
+        .solution
+        .each(&texels, |point, e, _| {
+            if of_floor(point) {
+                (sum, count) = (sum + e[0], count + 1)
+            }
+        })
+        .unwrap();
+    assert!(count > 0);
+    sum / count as f32
+}
+
 #[test]
 fn no_light_comes_through_a_sheet() {
-    let folder = tempfile::tempdir().unwrap();
-    // Between the lamp and the floor, wider than that is high, and as white as can be.
-    let wide = Mat4::from_scale_rotation_translation(Vec3::new(9.0, 1.0, 9.0), Default::default(), Vec3::splat(-4.0));
-    let mean = |roof: Mat4| {
-        let roof = Mat4::from_translation(4.0 * Vec3::Y) * roof;
-        let scene =
-            write_lit(folder.path(), &[(0, Mat4::IDENTITY), (1, roof)], Vec3::new(0.5, 2.0, 0.5), vec![None; 2]);
-        let model = read_gltf(scene, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
-        let mut backend = CpuBackend::new(Scene::new(model.mesh.clone()).unwrap());
-        let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
-        let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
-        let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
-        let bounces = Bounces { quality, tolerance: 0.0, most: 2 };
-        let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
-        // The floor has the mesh's first two triangles.
-        let (mut sum, mut count) = (0.0, 0);
-        let of_floor = |point: &SurfacePoint| point.triangle < 2;
-        solved
-            .solution
-            .each(&texels, |point, e, _| {
-                if of_floor(point) {
-                    (sum, count) = (sum + e[0], count + 1)
-                }
-            })
-            .unwrap();
-        assert!(count > 0);
-        sum / count as f32
-    };
-    assert_eq!(mean(wide), 0.0);
+    // As white as can be.
+    assert_eq!(under_a_roof(Mat4::IDENTITY, None), 0.0);
     // Negative control: beside the floor it is no roof.
-    assert!(mean(Mat4::from_translation(20.0 * Vec3::X) * wide) > 1.0);
+    assert!(under_a_roof(Mat4::from_translation(20.0 * Vec3::X), None) > 1.0);
+}
+
+#[test]
+fn all_light_comes_through_a_pane() {
+    let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1.0 } } });
+    let open = under_a_roof(Mat4::from_translation(20.0 * Vec3::X), Some(glass.clone()));
+    assert_eq!(under_a_roof(Mat4::IDENTITY, Some(glass)), open);
+    // Negative control: paint of the same name for its factor.
+    let painted = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 0.3 } } });
+    assert_eq!(under_a_roof(Mat4::IDENTITY, Some(painted)), 0.0);
+}
+
+#[test]
+fn what_is_less_than_half_opaque_is_a_pane() {
+    let folder = tempfile::tempdir().unwrap();
+    // Opaque in its left quarter; in the file, so that it is read as PNGs with alpha are.
+    let mut image = image::RgbaImage::from_pixel(64, 4, image::Rgba([255, 255, 255, 0]));
+    (0..16).for_each(|x| (0..4).for_each(|y| image.get_pixel_mut(x, y).0[3] = 255));
+    image.save(folder.path().join("quarter.png")).unwrap();
+    // The square shows the image from `at` on, `scale` of it.
+    let panes = |material: Value, (scale, at): (f32, f32)| {
+        let told = Warnings::default();
+        let more = json!({
+            "images": [{ "uri": "quarter.png" }, { "uri": png() }],
+            "textures": [{ "source": 0 }, { "source": 1 }], "materials": [material],
+        });
+        let source = write_squares(folder.path(), &[(&[set(scale, at)], Some(0)), (&[set(1.0, 0.0)], None)], more);
+        let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &told).unwrap();
+        assert!(!model.parts[1].is_pane);
+        let told: Vec<String> = told.all().into_iter().filter(|what| what.contains("primitives are")).collect();
+        (model.parts[0].is_pane, told.join(" "))
+    };
+    let whole = (1.0, 0.0);
+    let plain = |mode: &str, alpha: f32| json!({ "alphaMode": mode, "pbrMetallicRoughness": { "baseColorFactor": [1.0, 1.0, 1.0, alpha] } });
+    let textured = |mode: &str, texture: usize, alpha: f32| {
+        let base = json!({ "baseColorTexture": { "index": texture }, "baseColorFactor": [1.0, 1.0, 1.0, alpha] });
+        json!({ "alphaMode": mode, "pbrMetallicRoughness": base })
+    };
+    let through = "less than half opaque, and let all light through, untinted: \"node 0\"";
+    let solid = "transparent in places, and count as opaque";
+    for (material, shown, expected) in [
+        (plain("BLEND", 0.3), whole, Some(true)),
+        (plain("BLEND", 0.7), whole, Some(false)),
+        (plain("MASK", 0.3), whole, Some(true)),
+        (plain("MASK", 0.7), whole, None),
+        (plain("OPAQUE", 0.0), whole, None),
+        (textured("MASK", 0, 1.0), whole, Some(true)),
+        (textured("BLEND", 0, 1.0), whole, Some(true)),
+        (textured("OPAQUE", 0, 1.0), whole, None),
+        // What it shows decides, not what the image holds: the quarter alone, what is beside it.
+        (textured("MASK", 0, 1.0), (0.2, 0.01), None),
+        (textured("BLEND", 0, 1.0), (0.2, 0.01), None),
+        (textured("BLEND", 0, 0.4), (0.2, 0.01), Some(true)),
+        (textured("BLEND", 0, 1.0), (0.3, 0.0), Some(false)),
+        (textured("MASK", 0, 1.0), (0.5, 0.4), Some(true)),
+        // Images without alpha.
+        (textured("MASK", 1, 1.0), whole, None),
+        (textured("BLEND", 1, 0.4), whole, Some(true)),
+    ] {
+        let (is_pane, told) = panes(material.clone(), shown);
+        assert_eq!(is_pane, expected == Some(true), "{material} {shown:?}");
+        match expected {
+            Some(true) => assert!(told.contains(through), "{material}: {told}"),
+            Some(false) => assert!(told.contains(solid), "{material}: {told}"),
+            None => assert_eq!(told, "", "{material}"),
+        }
+    }
+    // What shines is found by rays.
+    let mut lamp = plain("BLEND", 0.3);
+    lamp["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
+    let (is_pane, told) = panes(lamp, whole);
+    assert!(!is_pane && told.contains(solid), "{told}");
 }
 
 #[test]

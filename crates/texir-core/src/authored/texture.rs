@@ -12,7 +12,7 @@ use gltf::buffer::Data;
 use gltf::image::Source;
 use gltf::texture::{Info, WrappingMode};
 use half::f16;
-use image::{ImageReader, RgbImage};
+use image::{DynamicImage, GrayImage, ImageReader, Luma, RgbImage};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -35,7 +35,7 @@ impl Colour {
     /// of those that it does not know the image's corner is looked up.
     pub fn over(&self, footprint: &Footprint, corners: impl Fn(usize) -> Option<[Vec2; 3]>, images: &Images) -> Vec3 {
         let texel = self.texture.as_ref().map(|texture| {
-            let corners = corners(texture.set).unwrap_or_default();
+            let corners = corners(texture.placement.set).unwrap_or_default();
             texture.over(footprint, corners, &images.all[texture.image])
         });
         self.factor * texel.unwrap_or(Vec3::ONE)
@@ -76,19 +76,17 @@ impl Footprint {
     }
 }
 
-/// How a material uses an image.
-pub(super) struct Texture {
-    /// Index into [`Images`].
-    image: usize,
+/// How a surface's coordinates lead to places in an image.
+pub(super) struct Placement {
     /// Which TEXCOORD.
     pub set: usize,
     image_from_uv: Affine2,
     wrap: [WrappingMode; 2],
 }
 
-impl Texture {
-    /// From a material's reference, `KHR_texture_transform` included; `image` is the place of its image in [`Images`].
-    pub fn new(info: &Info, image: usize) -> Self {
+impl Placement {
+    /// From a material's reference, `KHR_texture_transform` included.
+    pub fn new(info: &Info) -> Self {
         let transform = info.texture_transform();
         let set = transform.as_ref().and_then(|t| t.tex_coord()).unwrap_or(info.tex_coord()) as usize;
         // The extension turns coordinates counter-clockwise as seen, and v points down.
@@ -96,18 +94,39 @@ impl Texture {
             Affine2::from_scale_angle_translation(t.scale().into(), -t.rotation(), t.offset().into())
         });
         let sampler = info.texture().sampler();
-        Self { image, set, image_from_uv, wrap: [sampler.wrap_s(), sampler.wrap_t()] }
+        Self { set, image_from_uv, wrap: [sampler.wrap_s(), sampler.wrap_t()] }
+    }
+
+    /// The pixel of an image of this size at coordinates of its set.
+    pub fn pixel(&self, uv: Vec2, [width, height]: [usize; 2]) -> [usize; 2] {
+        let place = (self.image_from_uv.transform_point2(uv) * Vec2::new(width as f32, height as f32)).floor();
+        [wrapped(place.x, width, self.wrap[0]), wrapped(place.y, height, self.wrap[1])]
+    }
+}
+
+/// How a material uses an image.
+pub(super) struct Texture {
+    /// Index into [`Images`].
+    image: usize,
+    pub placement: Placement,
+}
+
+impl Texture {
+    /// From a material's reference; `image` is the place of its image in [`Images`].
+    pub fn new(info: &Info, image: usize) -> Self {
+        Self { image, placement: Placement::new(info) }
     }
 
     /// The mean over the footprint: images are finer than lightmaps, and what emits must not hang on where
     /// a few points fall.
     fn over(&self, footprint: &Footprint, corners: [Vec2; 3], image: &Image) -> Vec3 {
-        let [a, b, c] = corners.map(|uv| self.image_from_uv.transform_point2(uv));
+        let Placement { image_from_uv, wrap, .. } = &self.placement;
+        let [a, b, c] = corners.map(|uv| image_from_uv.transform_point2(uv));
         let pixels = |barycentric: Vec2| ((b - a) * barycentric.x + (c - a) * barycentric.y) * image.size();
         let widths = footprint.sides.map(|side| pixels(side).length());
         let level = (widths[0].max(widths[1]) / SAMPLES).log2().ceil().clamp(0.0, image.coarse.len() as f32);
         let counts = widths.map(|width| (width / level.exp2()).ceil().clamp(1.0, SAMPLES) as u32);
-        let at = |place: Vec2| image.at(level as usize, a + (b - a) * place.x + (c - a) * place.y, self.wrap);
+        let at = |place: Vec2| image.at(level as usize, a + (b - a) * place.x + (c - a) * place.y, *wrap);
         let inside = |place: &Vec2| !footprint.ends || (place.min_element() >= 0.0 && place.element_sum() <= 1.0);
         let (sum, count) = footprint
             .places(counts)
@@ -132,7 +151,7 @@ impl Images {
         if let Some(place) = self.keys.iter().position(|known| *known == key) {
             return Ok(place);
         }
-        self.all.push(Image::new(decoded(path, image, buffers)?, curve));
+        self.all.push(Image::new(decoded(path, image, buffers)?.into_rgb8(), curve));
         self.keys.push(key);
         Ok(self.all.len() - 1)
     }
@@ -280,8 +299,17 @@ pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Da
     }
 }
 
+/// The alpha channel of an image, if it has one.
+pub(super) fn alpha(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<Option<GrayImage>> {
+    let image = decoded(path, image, buffers)?;
+    Ok(image.color().has_alpha().then(|| {
+        let rgba = image.into_rgba8();
+        GrayImage::from_fn(rgba.width(), rgba.height(), |x, y| Luma([rgba.get_pixel(x, y).0[3]]))
+    }))
+}
+
 /// Decodes a PNG or JPEG.
-fn decoded(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<RgbImage> {
+fn decoded(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<DynamicImage> {
     let bytes = encoded(path, image, buffers)?;
     let failed = |e: &dyn std::fmt::Display| {
         let what = format!("{} cannot be decoded: {e}; expected a PNG or JPEG: export it as one", called(image));
@@ -289,7 +317,7 @@ fn decoded(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<RgbImag
     };
     let mut reader = ImageReader::new(Cursor::new(&*bytes)).with_guessed_format().map_err(|e| failed(&e))?;
     reader.limits(limits(bytes.len() as u64));
-    let decoded = reader.decode().map_err(|e| failed(&e))?.into_rgb8();
+    let decoded = reader.decode().map_err(|e| failed(&e))?;
     if decoded.width() == 0 || decoded.height() == 0 {
         return Err(failed(&"it has no pixels"));
     }

@@ -145,7 +145,7 @@ pub fn denoised(
 }
 
 /// What a [`bake`] of a map of `[width, height]` texels depends on: as long as none of it changes, its [`Checkpoints`]
-/// hold. It covers the backend's mesh and name, the lighting that [`Backend::set_tbl`] was given and the environment
+/// hold. It covers the backend's scene and name, the lighting that [`Backend::set_tbl`] was given and the environment
 /// that [`Backend::set_environment`] was given, the size, the quality and texir's version. What changes no more than
 /// speed and memory, as a [`Workspace`], is not in it.
 pub fn identity(
@@ -167,10 +167,10 @@ pub(crate) fn identity_with(
     more: impl Hash,
 ) -> String {
     let mut hasher = DefaultHasher::new();
-    let mesh = backend.scene().mesh();
+    let (mesh, traced) = (backend.scene().mesh(), backend.scene().primitives());
     let vectors: [&[u8]; 2] = [cast_slice(&mesh.positions), cast_slice(&mesh.normals)];
     let (uvs, texels): (&[u8], &[u8]) = (cast_slice(&mesh.uvs), cast_slice(&radiance.data));
-    (vectors, uvs, &mesh.triangles, radiance.size(), texels).hash(&mut hasher);
+    (vectors, uvs, &mesh.triangles, traced, radiance.size(), texels).hash(&mut hasher);
     (backend.name(), size, quality, more).hash(&mut hasher);
     format!("texir {}\nbake {:016x}\n", env!("CARGO_PKG_VERSION"), hasher.finish())
 }

@@ -100,7 +100,7 @@ fn ply_meshes() {
 fn use_scene(path: &Path) {
     use_mesh(path);
     if let Ok(model) = authored::read_gltf(path, 64, authored::BounceAlbedo::Diffuse, &Silent) {
-        drop(Scene::new(model.mesh));
+        drop(model.scene());
     }
 }
 

@@ -217,6 +217,13 @@ fn parent_from_node(path: &Path, node: usize, transform: Transform) -> Result<Ma
 pub(super) fn read(path: &Path) -> Result<RawMesh> {
     let Contents { document, buffers } = load(path)?;
     let mut raw = RawMesh { warnings: left_out(path, &document), ..RawMesh::default() };
+    let transparent = document.materials().filter(|material| material.alpha_mode() != AlphaMode::Opaque).count();
+    if transparent > 0 {
+        raw.warnings.push(format!(
+            "{}: {transparent} materials are transparent in places (alphaMode): their surfaces count as opaque everywhere",
+            path.display()
+        ));
+    }
     raw.warnings.extend(ignored(path, &document, &PLACING));
     for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
@@ -254,10 +261,6 @@ pub(crate) fn no_surface(path: &Path, place: &str, primitive: &Primitive) -> Str
 pub(crate) fn left_out(path: &Path, document: &Document) -> Vec<String> {
     let primitives = document.meshes().flat_map(|mesh| mesh.primitives());
     [
-        (
-            document.materials().filter(|material| material.alpha_mode() != AlphaMode::Opaque).count(),
-            "materials are transparent in places (alphaMode): their surfaces count as opaque everywhere",
-        ),
         (
             primitives.filter(|primitive| primitive.morph_targets().next().is_some()).count(),
             "primitives have morph targets: they keep the shape that they have without them",

@@ -31,7 +31,7 @@ const TRIANGLE: u64 = 270;
 /// Bytes of a vertex: position, normal, coordinates.
 const VERTEX: u64 = 32;
 
-/// A mesh and its obvhs CWBVH (8-wide, compressed). Neither changes once it is made.
+/// A mesh and an obvhs CWBVH (8-wide, compressed) over what rays meet of it. Neither changes once it is made.
 pub struct Scene {
     mesh: Mesh,
     bvh: CwBvh,
@@ -71,14 +71,34 @@ impl Scene {
     /// are not finite or exceed 1e9 m. A mesh that is merely far from the origin is accepted, though its light will be
     /// inaccurate: see [`Mesh::misplaced`].
     pub fn new(mesh: Mesh) -> Result<Self> {
+        Self::with_panes(mesh, |_| false)
+    }
+
+    /// [`Scene::new`], where no ray meets the triangles that are panes: they have places in the atlas and take light as
+    /// all others do, and let all of it through. Errors also where there are no others.
+    pub fn with_panes(mesh: Mesh, is_pane: impl Fn(u32) -> bool) -> Result<Self> {
         Self::check(&mesh)?;
-        let triangles: Vec<Triangle> = (0..mesh.triangles.len() as u32)
+        let all = 0..mesh.triangles.len() as u32;
+        let solid: Vec<Triangle> = all
+            .clone()
+            .filter(|t| !is_pane(*t))
             .map(|t| {
                 let [a, b, c] = mesh.corners(t);
                 Triangle { v0: a.into(), v1: b.into(), v2: c.into() }
             })
             .collect();
-        let bvh = hierarchy::build(triangles);
+        if solid.is_empty() {
+            return Err(Error::invalid(
+                "all triangles of the mesh let light through; expected some that light falls on",
+            ));
+        }
+        let mut bvh = hierarchy::build(solid);
+        // From the place among solid triangles to that among all. Of each pane: how many solid ones precede it.
+        let preceding: Vec<u32> = all.filter(|t| is_pane(*t)).enumerate().map(|(k, t)| t - k as u32).collect();
+        if !preceding.is_empty() {
+            let panes_before = |solid: u32| preceding.partition_point(|count| *count <= solid) as u32;
+            bvh.primitive_indices.iter_mut().for_each(|index| *index += panes_before(*index));
+        }
         Ok(Self { mesh, bvh, wide: OnceLock::new() })
     }
 
@@ -93,7 +113,7 @@ impl Scene {
         bytemuck::cast_slice(&self.bvh.nodes)
     }
 
-    /// The triangle of the mesh that each primitive of the hierarchy is, or is a part of.
+    /// The triangle of the mesh that each primitive of the hierarchy is, or is a part of. Panes are none.
     pub fn primitives(&self) -> &[u32] {
         &self.bvh.primitive_indices
     }
@@ -127,6 +147,30 @@ mod tests {
     use glam::Vec2;
 
     use super::*;
+
+    #[test]
+    fn rays_go_through_panes_and_name_what_they_meet_behind_them() {
+        // Squares above each other, of two triangles each.
+        let corner = |k: u32| Vec3::new(f32::from(k % 4 % 3 != 0), f32::from(k % 4 > 1), (k / 4) as f32);
+        let mesh = Mesh {
+            positions: (0..24).map(corner).collect(),
+            normals: vec![Vec3::Z; 24],
+            uvs: vec![Vec2::ZERO; 24],
+            triangles: (0..6).flat_map(|s| [[0, 1, 2], [0, 2, 3]].map(|t| t.map(|k| 4 * s + k))).collect(),
+        };
+        let met = |panes: &[u32], height: f32| {
+            let scene = Scene::with_panes(mesh.clone(), |t| panes.contains(&(t / 2))).unwrap();
+            let [origin, down] = [[0.75, 0.5, height], [0.0, 0.0, -1.0]].map(V3::of);
+            scene.closest(origin, down).map(|hit| (hit.triangle, hit.t))
+        };
+        assert_eq!(met(&[], 5.5), Some((10, 0.5)), "a control");
+        assert_eq!(met(&[5], 5.5), Some((8, 1.5)));
+        assert_eq!(met(&[0, 1, 3, 5], 5.5), Some((8, 1.5)));
+        assert_eq!(met(&[0, 1, 3, 5], 3.5), Some((4, 1.5)));
+        assert_eq!(met(&[0, 1, 3, 5], 1.5), None);
+        let none = Scene::with_panes(mesh.clone(), |_| true).map(drop).unwrap_err().to_string();
+        assert!(none.contains("let light through"), "{none}");
+    }
 
     #[test]
     fn vertices_that_are_nowhere_are_refused() {

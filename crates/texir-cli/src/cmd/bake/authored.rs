@@ -12,7 +12,6 @@ use texir_core::environment::Environment;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
 use texir_core::lightmap::Profile;
 use texir_core::progress::Progress;
-use texir_core::scene::Scene;
 
 use super::Bake;
 use crate::args::not_negative;
@@ -105,7 +104,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         }
         None => Workspace::Memory,
     };
-    let mut backend = device::open(Scene::new(model.mesh.clone())?, session)?;
+    let mut backend = device::open(model.scene()?, session)?;
     let (texels, surfaces) =
         prepare(backend.as_mut(), &model, environment, workspace, (bake, session)).inspect_err(|_| bake.clean_up())?;
     let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
