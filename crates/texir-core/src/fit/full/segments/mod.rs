@@ -1,10 +1,11 @@
-//! From labels per pixel to segments on the surface: connected regions of one class in one room.
+//! From labels per pixel to segments on the surface: connected regions of one class in one room, and of one paint.
 
 mod automatic;
 mod borders;
 mod colours;
 pub mod hidden;
 pub mod labels;
+mod paints;
 mod surfaces;
 
 use std::collections::{HashMap, VecDeque};
@@ -22,7 +23,8 @@ use crate::rooms::FloorPlan;
 /// Pieces of a segment that are smaller, square metres, are no faces of their own.
 const SMALLEST_FACE: f32 = 0.1;
 
-/// Connected regions of one class in one room, numbered from 0. The back of something thin is connected with its front.
+/// Connected regions of one class in one room, divided by their [`paints`], and numbered from 0. The back of something
+/// thin is connected with its front.
 pub struct Segments {
     /// That of every valid texel.
     pub segment: Vec<u32>,
@@ -31,7 +33,7 @@ pub struct Segments {
     pub face: Vec<u32>,
     /// Semantic class of each segment; 0 is "unknown".
     pub class: Vec<u16>,
-    /// Class within a room of each segment, numbered from 0.
+    /// Class within a room of each segment, numbered from 0; parts of another paint each by themselves.
     pub class_in_room: Vec<u32>,
 }
 
@@ -78,8 +80,9 @@ impl Segments {
 /// Segments the texels by the labels that the views voted for, with borders where the colour changes ([`borders`]);
 /// where views have no classes, by geometry and colour alone ([`automatic`]). Texels around which there are none take
 /// the label of the other side, if they are the back of something thin, or of what is seen of their flat surface, or of
-/// the nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. `albedo`
-/// may be as rough as π · radiance / irradiance; `texel` is the edge of a typical texel, metres.
+/// the nearest texel along the mesh. Rooms are the capture's, where it names them, and else the floor plan's. Regions of
+/// several [`paints`] are divided. `albedo` may be as rough as π · radiance / irradiance; `texel` is the edge of a typical
+/// texel, metres.
 pub fn segment(
     (atlas, texel): (&Atlas, f32),
     adjacency: &Adjacency,
@@ -116,16 +119,20 @@ pub fn segment(
         adjacency,
         (SMALLEST_FACE / (texel * texel)) as usize,
     );
-    let mut of_segment = vec![(0, 0); count];
-    segment.iter().zip(in_room).for_each(|(s, label)| of_segment[*s as usize] = label);
-    let mut pairs = of_segment.clone();
-    pairs.sort_unstable();
-    pairs.dedup();
-    let number = |pair: &(u16, u16)| pairs.partition_point(|p| p < pair) as u32;
+    let undivided = count as u32;
+    let (segment, count) = paints::divide(Partition { of: &segment, count }, &face, albedo, seen, texel);
+    // Parts of another paint are a class in the room by themselves: no mean of two materials is a prior to either.
+    let part = |s: u32| if s < undivided { 0 } else { s };
+    let mut of_segment = vec![(0, 0, 0); count];
+    segment.iter().zip(in_room).for_each(|(s, (class, room))| of_segment[*s as usize] = (class, room, part(*s)));
+    let mut kinds = of_segment.clone();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let number = |kind: &(u16, u16, u32)| kinds.partition_point(|k| k < kind) as u32;
     Segments {
         segment,
         face,
-        class: of_segment.iter().map(|(class, _)| *class).collect(),
+        class: of_segment.iter().map(|(class, ..)| *class).collect(),
         class_in_room: of_segment.iter().map(number).collect(),
     }
 }
