@@ -10,8 +10,9 @@ use glam::Vec3A;
 use crate::fit::full::partition::Partition;
 use crate::stats::median;
 
-/// Faces of which less is seen, square metres, are of their segment's main paint.
-const SMALLEST: f32 = 1.0;
+/// Faces of which less is seen, square metres, are of their segment's main paint: walls and floors are judged well by
+/// themselves, a door is not.
+const SMALLEST: f32 = 2.5;
 /// Colours are of one material up to this difference of their logarithms, in any channel: light is not known better
 /// everywhere.
 const SAME: f32 = 0.35;
@@ -81,18 +82,18 @@ mod tests {
     const PAINT: Vec3A = Vec3A::new(0.66, 0.64, 0.57);
     const TILES: Vec3A = Vec3A::new(0.36, 0.57, 0.47);
 
-    /// The parts of one segment: walls of 2 m² each but for the first, which is of 3, and then 0.5 m² of small pieces.
+    /// The parts of one segment: walls of 3 m² each but for the first, which is of 4, and then 0.5 m² of small pieces.
     /// By wall, whether it is in another part than the first; nothing else is but them.
     fn divided<const N: usize>(colours: [&dyn Fn(usize) -> Vec3A; N], seen: impl Fn(usize) -> bool) -> [bool; N] {
-        let wall = |t: usize| (t.saturating_sub(400) / 800).min(N);
-        let texels = 400 + 800 * N + 200;
+        let wall = |t: usize| (t.saturating_sub(400) / 1200).min(N);
+        let texels = 400 + 1200 * N + 200;
         let face: Vec<u32> = (0..texels).map(|t| if wall(t) == N { 0 } else { 1 + wall(t) as u32 }).collect();
         let albedo: Vec<Vec3A> = (0..texels).map(|t| if wall(t) == N { TILES } else { colours[wall(t)](t) }).collect();
         let one = vec![0; texels];
         let (part, count) = divide(Partition { of: &one, count: 1 }, &face, &albedo, seen, TEXEL);
-        assert!(part[400 + 800 * N..].iter().all(|part| *part == 0) && part.iter().all(|p| (*p as usize) < count));
-        let first = |wall: usize| part[if wall == 0 { 0 } else { 400 + 800 * wall }];
-        assert!((0..400 + 800 * N).all(|t| part[t] == first(wall(t))), "a wall is in one part");
+        assert!(part[400 + 1200 * N..].iter().all(|part| *part == 0) && part.iter().all(|p| (*p as usize) < count));
+        let first = |wall: usize| part[if wall == 0 { 0 } else { 400 + 1200 * wall }];
+        assert!((0..400 + 1200 * N).all(|t| part[t] == first(wall(t))), "a wall is in one part");
         assert_eq!(count, 1 + (0..N).filter(|w| first(*w) != 0 && (0..*w).all(|v| first(v) != first(*w))).count());
         std::array::from_fn(|wall| first(wall) != first(0))
     }
@@ -103,7 +104,7 @@ mod tests {
         assert_eq!(divided([&paint, &tiles, &paint, &tiles], |_| true), [false, true, false, true]);
         // What their light is hardly known by, and where little of them is seen.
         assert_eq!(divided([&paint, &|_| 0.6 * PAINT], |_| true), [false, true]);
-        assert_eq!(divided([&paint, &tiles], |t| t < 1200 || t % 3 == 0), [false, false]);
+        assert_eq!(divided([&paint, &tiles], |t| t < 1600 || t % 3 == 0), [false, false]);
         // Other tiles, pale by their reflections.
         assert_eq!(divided([&paint, &|_| Vec3A::new(0.6, 0.65, 0.5)], |_| true), [false, true]);
     }
