@@ -20,7 +20,8 @@ const ROUNDED: f32 = 1e-3;
 pub enum BounceAlbedo {
     /// Base colour alone: surfaces are Lambertian.
     Diffuse,
-    /// Base colour plus the [`specular_albedo`](crate::specular_albedo::specular_albedo) of dielectrics, as if that were diffuse.
+    /// Base colour plus the [`specular_albedo`](crate::specular_albedo::specular_albedo) of dielectrics, as if that were
+    /// diffuse.
     DiffuseAndSpecular,
 }
 
