@@ -104,7 +104,8 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         }
         None => Workspace::Memory,
     };
-    let mut backend = device::open(model.scene()?, session)?;
+    let scene = model.scene().context(bake.input.display())?;
+    let mut backend = device::open(scene, session)?;
     let (texels, surfaces) =
         prepare(backend.as_mut(), &model, environment, workspace, (bake, session)).inspect_err(|_| bake.clean_up())?;
     let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
