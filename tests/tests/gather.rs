@@ -5,6 +5,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use glam::{Vec2, Vec3};
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Material, RoughnessGradient, Sampling, Sequences, ShadePoint,
 };
@@ -69,7 +70,7 @@ fn flat(gathered: &[Gathered]) -> Vec<f64> {
 
 fn shading(points: &[SurfacePoint]) -> (Vec<ShadePoint>, Vec<Material>) {
     let pixel = |(i, p): (usize, &SurfacePoint)| {
-        let n = glam::Vec3::from(p.normal);
+        let n = Vec3::from(p.normal);
         let view = (n + 0.7 * n.any_orthonormal_vector()).normalize();
         let point = ShadePoint {
             position: p.position,
@@ -108,6 +109,68 @@ fn many_samples_give_the_same_sum_in_every_shape() {
         // Negative control: a hundredth of the samples lost would be noticed.
         let darker: Vec<f64> = expected.iter().map(|e| 0.99 * e).collect();
         assert!(TRACED.failures(&darker, &expected).len() >= 3 * points.len());
+    }
+}
+
+#[test]
+fn light_passes_through_panes_as_if_they_were_not_there() {
+    /// Where the pane's triangles are among the others: numbers after it differ between mesh and hierarchy.
+    const PLACE: usize = 5;
+    let bare = room();
+    let with = |is_pane: bool| {
+        let mut mesh = bare.mesh().clone();
+        let first = mesh.positions.len() as u32;
+        // Below the ceiling, from wall to wall but for a gap, in the last chart, which is free.
+        mesh.positions.extend([(0.1, 0.1), (0.1, 2.9), (3.9, 2.9), (3.9, 0.1)].map(|(x, y)| Vec3::new(x, y, 2.1)));
+        mesh.normals.extend([-Vec3::Z; 4]);
+        mesh.uvs.extend([(0.93, 0.93), (0.99, 0.93), (0.99, 0.99), (0.93, 0.99)].map(Vec2::from));
+        let pane = [[0, 1, 2], [0, 2, 3]].map(|t| t.map(|corner| first + corner));
+        mesh.triangles.splice(PLACE..PLACE, pane);
+        Scene::with_panes(mesh, |t| is_pane && (PLACE as u32..PLACE as u32 + 2).contains(&t)).unwrap()
+    };
+    let points_of_bare = points(&bare, 60);
+    let moved = |p: &SurfacePoint| {
+        let triangle = if (p.triangle as usize) < PLACE { p.triangle } else { p.triangle + 2 };
+        SurfacePoint { triangle, ..*p }
+    };
+    let points: Vec<SurfacePoint> = points_of_bare.iter().map(moved).collect();
+    // The pane is bright as well, which must not make it a light.
+    let mut radiance = scenes::smooth_light(192);
+    let is_pane_texel = |i: usize| i % 192 >= 176 && i / 192 >= 176;
+    let lit = |(i, l): (usize, &mut [f32; 3])| *l = if is_pane_texel(i) { [9.0; 3] } else { *l };
+    radiance.data.iter_mut().enumerate().for_each(lit);
+    let gpu = gpu();
+    let gathered = |backend: &mut dyn Backend, points: &[SurfacePoint], light_samples: u32| {
+        let lights = scenes::lights(backend, &radiance);
+        assert!(!lights.is_empty() && lights.triangles.iter().all(|l| backend.scene().is_solid()[l.triangle as usize]));
+        backend.set_tbl(&radiance, &lights).unwrap();
+        flat(&backend.irradiance(points, Gather::new(64, light_samples, 5), &Silent).unwrap())
+    };
+    let (pane, sheet) = (Arc::new(with(true)), Arc::new(with(false)));
+    let on_gpu = |scene: &Arc<Scene>, points: &[SurfacePoint], light_samples: u32| {
+        gathered(&mut GpuBackend::new(&gpu, scene.clone()).unwrap(), points, light_samples)
+    };
+    // Tables of lights are learned on panes too, so that light samples are others than without any.
+    TRACED.check("beside no pane at all", &on_gpu(&pane, &points, 0), &on_gpu(&bare, &points_of_bare, 0));
+    let through = on_gpu(&pane, &points, 64);
+    TRACED.check("beside the CPU", &through, &gathered(&mut CpuBackend::new(pane), &points, 64));
+    // Negative control: what is solid takes the light.
+    assert!(TRACED.failures(&on_gpu(&sheet, &points, 64), &through).len() > 2 * points.len());
+}
+
+#[test]
+fn lights_are_solid() {
+    let scene = Arc::new(Scene::with_panes(room().mesh().clone(), |t| t == 7).unwrap());
+    let mut luminance = vec![0.0; scene.mesh().triangles.len()];
+    let radiance = scenes::smooth_light(192);
+    let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    for backend in [&mut CpuBackend::new(scene.clone()) as &mut dyn Backend, &mut gpu] {
+        luminance.fill(0.0);
+        luminance[8] = 1.0;
+        backend.set_tbl(&radiance, &Lights::by_power(scene.mesh(), &luminance)).unwrap();
+        luminance[7] = 1.0;
+        let refused = backend.set_tbl(&radiance, &Lights::by_power(scene.mesh(), &luminance)).unwrap_err().to_string();
+        assert!(refused.contains("triangle 7"), "{refused}");
     }
 }
 

@@ -128,7 +128,7 @@ impl Backend for GpuBackend {
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
-        check::tbl(self.scene.mesh(), radiance, lights)?;
+        check::tbl(&self.scene, radiance, lights)?;
         // Two at once may be more than there is memory for.
         self.lighting = None;
         let gpu = &self.context.gpu;

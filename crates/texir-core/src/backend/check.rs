@@ -5,9 +5,9 @@ use std::ops::Range;
 use super::{Gather, GroupTarget, Groups, MAX_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded};
 use crate::error::{Error, Result};
 use crate::lights::Lights;
-use crate::mesh::Mesh;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
+use crate::scene::Scene;
 use crate::specular_table::{STRATA, TableSampling};
 use crate::surface::SurfacePoint;
 use crate::texture::{Footprints, Pyramid, SparseRows};
@@ -52,13 +52,13 @@ fn shade_points(what: &str, points: &[ShadePoint]) -> Result<()> {
         .try_for_each(|(i, p)| finite(what, i, [("position", p.position), ("normal", p.normal), ("view", p.view)]))
 }
 
-/// That the texture-based lighting has texels and possible radiance, and that its lights are those of the mesh.
-pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
+/// That the texture-based lighting has texels and possible radiance, and that its lights are those of the scene.
+pub fn tbl(scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<()> {
     if radiance.data.is_empty() {
         return Err(Error::invalid("the texture-based lighting has no texels: expected at least 1×1"));
     }
     radiance.check_radiance("the texture-based lighting")?;
-    let triangles = mesh.triangles.len();
+    let triangles = scene.mesh().triangles.len();
     let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
     if lights.light_of_triangle.len() != triangles || !known {
         return Err(Error::invalid(format!(
@@ -66,10 +66,19 @@ pub fn tbl(mesh: &Mesh, radiance: &Rgb, lights: &Lights) -> Result<()> {
             lights.light_of_triangle.len()
         )));
     }
-    if lights.is_consistent() {
-        return Ok(());
+    if !lights.is_consistent() {
+        return Err(Error::invalid(
+            "the lights' clusters, tables and grid do not fit each other; expected those that Lights makes",
+        ));
     }
-    Err(Error::invalid("the lights' clusters, tables and grid do not fit each other; expected those that Lights makes"))
+    let is_solid = scene.is_solid();
+    match lights.triangles.iter().find(|light| !is_solid[light.triangle as usize]) {
+        Some(pane) => Err(Error::invalid(format!(
+            "triangle {} is among the lights, but a pane of the scene, which no ray meets; expected lights of solid triangles",
+            pane.triangle
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// That rows are those of an image or an atlas of so many.

@@ -123,7 +123,7 @@ impl Backend for CpuBackend {
     }
 
     fn set_tbl(&mut self, radiance: &Rgb, lights: &Lights) -> Result<()> {
-        check::tbl(self.scene.mesh(), radiance, lights)?;
+        check::tbl(&self.scene, radiance, lights)?;
         // Two at once may be more than there is memory for.
         self.tbl = None;
         self.tbl = Some((radiance.clone(), lights.clone()));

@@ -7,10 +7,8 @@ use rayon::prelude::*;
 
 use crate::atlas::{Atlas, TexelIndex};
 use crate::disjoint_sets::DisjointSets;
+use crate::fit::index::NONE;
 use crate::mesh::Mesh;
-
-/// No neighbour on that side.
-pub const NONE: u32 = u32::MAX;
 
 /// Texels this many texel edges apart on the surface do not belong together, even side by side in the atlas.
 const REACH: f32 = 3.0;

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use super::adjacency::{Adjacency, NONE};
+use super::adjacency::Adjacency;
+use super::index::NONE;
 use crate::atlas::Atlas;
 use crate::backend::Backend;
 use crate::capture::{Coverage, Tbl, View};

@@ -6,6 +6,7 @@ mod adam;
 mod adjacency;
 mod emitters;
 mod full;
+mod index;
 #[cfg(test)]
 mod lit_square;
 pub mod memory;

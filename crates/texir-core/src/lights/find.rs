@@ -14,7 +14,7 @@ const CHOSEN: usize = 1 << 20;
 
 impl Lights {
     /// The triangles with more than three times the scene's mean luminance in `radiance`, with cluster tables learned
-    /// by shadow rays. Errors unless `atlas` has the size of `radiance` and is one of the scene's mesh.
+    /// by shadow rays. Panes are none, whatever radiance they have: no ray meets them. Errors unless `atlas` has the size of `radiance` and is one of the scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
         let (own, others) = ([atlas.width, atlas.height], radiance.size());
         if own != others || radiance.data.len() != radiance.width * radiance.height {
@@ -104,6 +104,7 @@ impl<'a> Finder<'a> {
     /// See [`Lights::find`].
     pub fn find(self) -> Lights {
         let mut luminance = self.mean_luminance();
+        luminance.iter_mut().zip(self.scene.is_solid()).filter(|(_, solid)| !solid).for_each(|(l, _)| *l = 0.0);
         let mesh = self.scene.mesh();
         let area: Vec<f32> = (0..mesh.triangles.len() as u32).map(|t| mesh.area(t)).collect();
         let total_area: f64 = area.iter().map(|&a| f64::from(a)).sum();

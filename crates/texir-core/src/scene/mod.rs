@@ -118,6 +118,13 @@ impl Scene {
         &self.bvh.primitive_indices
     }
 
+    /// Whether rays meet each triangle of the mesh: panes they do not.
+    pub fn is_solid(&self) -> Vec<bool> {
+        let mut is_solid = vec![false; self.mesh.triangles.len()];
+        self.primitives().iter().for_each(|&triangle| is_solid[triangle as usize] = true);
+        is_solid
+    }
+
     fn wide(&self) -> &WideBvh {
         self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh))
     }

@@ -19,7 +19,7 @@ use std::iter::repeat_n;
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::adjacency::NONE;
+use super::index::NONE;
 use super::{FitContext, Materials, outgoing, warnings, without_buried};
 use crate::atlas::Atlas;
 use crate::backend::Backend;
@@ -36,9 +36,9 @@ use albedo::{AlbedoProblem, EdgeGuide};
 use joints::{JointPixels, Lines};
 use observations::{Observations, Observer};
 use partition::Partition;
+use roughness::blocks::{BlockGrid, BlockTallies};
 use roughness::evidence::{Evidence, Tally};
-use roughness::finishes::{self, BlockGrid, BlockTallies};
-use roughness::{confidence, cross_validation, hierarchy, metals, scan, similarity_prior};
+use roughness::{confidence, cross_validation, finishes, hierarchy, metals, scan, similarity_prior};
 use segments::Segments;
 use segments::labels::Labels;
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::fit::adjacency::NONE;
+use crate::fit::index::NONE;
 
 /// Items in groups: texels in segments, say.
 #[derive(Clone, Copy)]

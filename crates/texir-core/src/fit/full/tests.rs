@@ -9,7 +9,7 @@ use crate::backend::{Backend, Gather, Material, RoughnessGradient, Sampling, Sha
 use crate::brdf::Masking;
 use crate::cpu::CpuBackend;
 use crate::diffuse::DiffuseModel;
-use crate::fit::adjacency::{Adjacency, NONE};
+use crate::fit::adjacency::Adjacency;
 use crate::fit::full::albedo::{AlbedoProblem, EdgeGuide, Roughness};
 use crate::fit::full::joints::{self, JointPixels, Lines};
 use crate::fit::full::observations::Observations;
@@ -17,6 +17,7 @@ use crate::fit::full::observations::packed_tap::PackedTap;
 use crate::fit::full::partition::Partition;
 use crate::fit::full::roughness::prior::shrink;
 use crate::fit::full::roughness::scan::scan;
+use crate::fit::index::NONE;
 use crate::fit::settings::{AcceptanceSettings, AlbedoSettings, JointSettings, RoughnessSettings};
 use crate::lights::Lights;
 use crate::mesh::Mesh;

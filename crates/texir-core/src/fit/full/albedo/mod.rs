@@ -19,10 +19,11 @@ use rayon::prelude::*;
 use self::palette::Palettes;
 use crate::brdf::DIELECTRIC_F0;
 use crate::diffuse::DiffuseModel;
-use crate::fit::adjacency::{Adjacency, NONE};
+use crate::fit::adjacency::Adjacency;
 use crate::fit::full::observations::Observations;
 use crate::fit::full::observations::packed_tap::{PackedTap, of_strata};
 use crate::fit::full::partition::Partition;
+use crate::fit::index::NONE;
 use crate::fit::settings::{AlbedoSettings, PaletteSettings};
 use crate::specular_table::{PackedCurve, STRATA, node};
 
@@ -133,24 +134,40 @@ impl<'a> AlbedoProblem<'a> {
 
     /// What each pixel says at the roughness that its surface has. One that sees metal and something else says nothing.
     pub fn target(&self, roughness: &Roughness<'_>) -> Target {
-        let all = (0..self.seen.len()).into_par_iter().with_min_len(BLOCK);
+        let of_all = |value: Vec3A, count: usize| vec![value; count];
+        let mut target = Target {
+            albedo: of_all(Vec3A::ZERO, self.seen.len()),
+            scale: of_all(Vec3A::splat(FRAC_1_PI), if self.metal.is_empty() { 0 } else { self.seen.len() }),
+        };
+        self.retarget(&mut target, roughness, |_| true);
+        target
+    }
+
+    /// Makes the `target` that of another roughness at those pixels that `change`.
+    pub fn retarget(&self, target: &mut Target, roughness: &Roughness<'_>, change: impl Fn(usize) -> bool + Sync) {
+        let Target { albedo, scale } = target;
         if self.metal.is_empty() {
-            return Target { albedo: all.map(|p| self.diffuse_albedo(roughness, p)).collect(), scale: Vec::new() };
+            let pixels = albedo.par_iter_mut().enumerate().with_min_len(BLOCK).filter(|(p, _)| change(*p));
+            pixels.for_each(|(p, albedo)| *albedo = self.diffuse_albedo(roughness, p));
+        } else {
+            let pixels = albedo.par_iter_mut().zip(scale).enumerate().with_min_len(BLOCK).filter(|(p, _)| change(*p));
+            pixels.for_each(|(p, (albedo, scale))| (*albedo, *scale) = self.albedo_and_scale(roughness, p));
         }
-        let (albedo, scale) = all
-            .map(|p| match self.is_metal(p) {
-                Some(false) => (self.diffuse_albedo(roughness, p), Vec3A::splat(FRAC_1_PI)),
-                Some(true) => {
-                    let f0 = DIELECTRIC_F0 as f32;
-                    let specular = self.along(roughness, self.seen.curve(p), p);
-                    let scale = (self.along(roughness, self.seen.white_curve(p), p) - specular) / (1.0 - f0);
-                    let grazing = specular - f0 * scale;
-                    ((self.seen.radiance[p] - grazing) * self.pi_over_e[p], scale)
-                }
-                None => (Vec3A::ZERO, Vec3A::ZERO),
-            })
-            .unzip();
-        Target { albedo, scale }
+    }
+
+    /// What a pixel says where there are metals, and its κ.
+    fn albedo_and_scale(&self, roughness: &Roughness<'_>, pixel: usize) -> (Vec3A, Vec3A) {
+        match self.is_metal(pixel) {
+            Some(false) => (self.diffuse_albedo(roughness, pixel), Vec3A::splat(FRAC_1_PI)),
+            Some(true) => {
+                let f0 = DIELECTRIC_F0 as f32;
+                let specular = self.along(roughness, self.seen.curve(pixel), pixel);
+                let scale = (self.along(roughness, self.seen.white_curve(pixel), pixel) - specular) / (1.0 - f0);
+                let grazing = specular - f0 * scale;
+                ((self.seen.radiance[pixel] - grazing) * self.pi_over_e[pixel], scale)
+            }
+            None => (Vec3A::ZERO, Vec3A::ZERO),
+        }
     }
 
     /// What a pixel says of a dielectric's albedo.

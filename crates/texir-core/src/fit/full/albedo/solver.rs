@@ -7,8 +7,8 @@ use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::{AlbedoProblem, BLOCK, EdgeGuide, Target};
-use crate::fit::adjacency::NONE;
 use crate::fit::full::observations::packed_tap::PackedTap;
+use crate::fit::index::NONE;
 
 impl AlbedoProblem<'_> {
     /// Improves `albedo`, and keeps its `predicted` pixels in step, for the given target by `rounds` runs of

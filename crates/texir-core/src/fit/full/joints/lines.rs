@@ -4,7 +4,8 @@ use std::iter::successors;
 
 use rayon::prelude::*;
 
-use crate::fit::adjacency::{Adjacency, NONE};
+use crate::fit::adjacency::Adjacency;
+use crate::fit::index::NONE;
 use crate::fit::settings::{JointSettings, Straight};
 
 /// What a line is beside what is around it.

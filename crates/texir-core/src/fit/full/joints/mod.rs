@@ -16,12 +16,12 @@ use rayon::prelude::*;
 
 use self::lines::{LineCoverage, LogAlbedo, Polarity};
 use crate::error::Result;
-use crate::fit::adjacency::NONE;
 use crate::fit::full::albedo::{AlbedoProblem, EdgeGuide, Roughness};
 use crate::fit::full::observations::packed_tap::PackedTap;
 use crate::fit::full::partition::Partition;
 use crate::fit::full::roughness::cross_validation::{self, PartCosts};
 use crate::fit::full::roughness::evidence::{Tally, cost};
+use crate::fit::index::NONE;
 use crate::fit::settings::{AcceptanceSettings, JointSettings, RoughnessSettings};
 use crate::progress::{Progress, Task};
 use crate::specular_table::{NODES, node};
@@ -244,12 +244,15 @@ fn scan(
         return Ok(costs);
     }
     let sigma = problem.noise(settings.image_noise);
-    let sees = |p: usize| {
-        let judged = lines.judged(&problem.seen.rows, pixels.segment[p], p);
-        judged.map_or((NONE, 0.0), |(group, share)| (group as u32, share))
+    let rows = &problem.seen.rows;
+    let judged = |p: usize| {
+        let (group, share) = lines.judged(rows, pixels.segment[p], p)?;
+        Some((p, group, share))
     };
-    let sees: Vec<(u32, f32)> = (0..problem.seen.len()).into_par_iter().map(sees).collect();
+    let judged: Vec<(usize, usize, f32)> = (0..problem.seen.len()).into_par_iter().filter_map(judged).collect();
+    let sees_lines = |p: usize| rows.row(p).iter().any(|share| lines.covered[share.texel as usize].is_some());
     let before = problem.predicted(albedo);
+    let mut target = problem.target(&Roughness::Texels(roughness));
     let _task = Task::start(progress, "joints", 1 + tried().count() as u64, "roughnesses");
     for k in std::iter::once(None).chain(tried().map(Some)) {
         progress.check()?;
@@ -259,14 +262,14 @@ fn scan(
                 covered.iter().for_each(|covered| *r = mixed(*r, node(k), covered.share()));
             }
         }
-        let target = problem.target(&Roughness::Texels(&with));
+        problem.retarget(&mut target, &Roughness::Texels(&with), sees_lines);
         let (mut albedo, mut predicted) = (albedo.to_vec(), before.clone());
         problem.solve((&mut albedo, &mut predicted), (&target, &sigma), 1, settings.iterations, EdgeGuide::Albedo);
-        for (p, (group, share)) in sees.iter().enumerate().filter(|(_, (group, _))| *group != NONE) {
+        for &(p, group, share) in &judged {
             let weight = f64::from(share * pixels.weight[p]);
             let residual = problem.residual(&predicted, &target, p);
             let cost = weight * f64::from(cost(residual, sigma[p], settings.colour_weight));
-            let costs = &mut costs[*group as usize][usize::from(pixels.half[p])];
+            let costs = &mut costs[group][usize::from(pixels.half[p])];
             match k {
                 Some(k) => costs.at_nodes.cost[k] += cost,
                 None => {

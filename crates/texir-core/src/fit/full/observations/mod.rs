@@ -25,7 +25,7 @@ use crate::camera::Camera;
 use crate::capture::View;
 use crate::checkpoint::Checkpoints;
 use crate::error::{Error, Result};
-use crate::fit::adjacency::NONE;
+use crate::fit::index::NONE;
 use crate::fit::settings::FullSettings;
 use crate::progress::{Progress, Task};
 use crate::raster::{Mask, Rgb};

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use super::blocks::{Block, BlockGrid, BlockKey};
 use super::evidence::Tally;
-use super::finishes::{Block, BlockGrid, BlockKey};
 use crate::specular_table::{NODES, node};
 
 /// Variance of a roughness drawn by chance.
@@ -64,8 +64,8 @@ fn moments(ln_likelihood: &[f32; NODES]) -> Moments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::adjacency::NONE;
     use crate::fit::full::roughness::evidence::Evidence;
+    use crate::fit::index::NONE;
 
     const COLUMNS: usize = 24;
     const SEGMENTS: u32 = 4;

@@ -7,8 +7,8 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::variation;
-use crate::fit::adjacency::NONE;
 use crate::fit::full::partition::Partition;
+use crate::fit::index::NONE;
 use crate::specular_table::{NODES, nearest_node, node, node_step};
 
 /// Added to the mean cost: smaller differences are within the accuracy of images and models.

@@ -1,5 +1,6 @@
 //! From what pixels cost at each roughness to the roughness of every texel.
 
+pub mod blocks;
 pub mod confidence;
 pub mod cross_validation;
 pub mod evidence;

@@ -4,8 +4,8 @@
 //! though, it must imitate highlights that are missing or cancel those that are too many. So the likeliest roughness is
 //! that at which albedo varies least between texels; what a surface is painted with varies alike at all.
 
-use crate::fit::adjacency::NONE;
 use crate::fit::full::albedo::AlbedoProblem;
+use crate::fit::index::NONE;
 use crate::specular_table::NODES;
 
 /// Largest weight of the log mean variation relative to the log mean cost of pixels: a texel has two pairs of

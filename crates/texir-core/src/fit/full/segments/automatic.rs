@@ -105,7 +105,7 @@ pub(super) mod tests {
         let texels = 2 * SIDE * SIDE;
         let beside = |t: usize| {
             let (x, y) = (t % SIDE, t / SIDE);
-            let to = |there: bool, n: usize| if there { n as u32 } else { crate::fit::adjacency::NONE };
+            let to = |there: bool, n: usize| if there { n as u32 } else { crate::fit::index::NONE };
             // The wall is above the floor in the atlas: their creased edges are neighbours.
             [
                 to(x > 0, t.wrapping_sub(1)),

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::fit::adjacency::Adjacency;
 use crate::fit::full::albedo::palette::Palettes;
 use crate::fit::full::partition::Partition;
-use crate::fit::full::segments::labels;
+use crate::fit::full::segments::votes;
 use crate::fit::settings::PaletteSettings;
 
 /// What is one colour.
@@ -54,7 +54,7 @@ fn blurred(
     texel: f32,
 ) -> Vec<Vec3A> {
     let mut albedo = albedo.to_vec();
-    for _ in 0..labels::rounds(BLUR, texel) {
+    for _ in 0..votes::rounds(BLUR, texel) {
         let mean = |t: u32| {
             let own = (albedo[t as usize], 1.0);
             let around = adjacency.around(t).filter(|&n| together(t, n));

@@ -7,6 +7,7 @@ pub mod hidden;
 pub mod labels;
 mod paints;
 mod surfaces;
+mod votes;
 
 use std::collections::{HashMap, VecDeque};
 
@@ -171,7 +172,7 @@ pub(super) fn spread(known: Vec<Option<u16>>, adjacency: &Adjacency, otherwise: 
 mod tests {
     use self::automatic::tests::{SIDE, floor_and_wall};
     use super::*;
-    use crate::fit::adjacency::NONE;
+    use crate::fit::index::NONE;
 
     /// A strip of texels, each beside the next.
     fn strip(count: u32) -> Adjacency {
