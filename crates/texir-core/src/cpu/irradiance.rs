@@ -2,6 +2,8 @@
 
 use std::f64::consts::FRAC_1_PI;
 
+use arrayvec::ArrayVec;
+
 use super::light_sampling::{light_pdf, light_point};
 use super::lighting::Lighting;
 use super::sampling::{Frame, cosine_direction};
@@ -35,7 +37,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     let [light_samples, environment_samples] = gather.light_and_sky(!lights.is_empty(), sky.is_some());
     let table = lights.table(point.position.into(), point.normal.into());
     let [n_cosine, n_light, n_sky] = [gather.cosine, light_samples, environment_samples].map(|n| R::of(f64::from(n)));
-    let (mut sum, mut behind) = (V3::zero(), 0u32);
+    let (mut sum, mut behind) = (WeightedSum::default(), 0u32);
 
     let offset = [hash2(seed, 3), hash2(seed, 4)];
     for i in 0..gather.cosine {
@@ -46,7 +48,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             if let Some(sky) = lighting.environment {
                 let pixel = sky.pixel(direction);
                 let density = n_cosine * z * R::of(FRAC_1_PI) + n_sky * R::of(f64::from(sky.bright().density[pixel]));
-                sum = sum + V3::of(sky.radiance().data[pixel]) * (z / density);
+                sum.add(&sky.radiance().data[pixel], z / density);
             }
             continue;
         };
@@ -55,7 +57,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             continue;
         }
         let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_pdf(mesh, lights, table, &hit, direction);
-        sum = sum + lighting.radiance_at(&hit) * (z / density);
+        sum.add(lighting.radiance_at(&hit), z / density);
     }
     let offset = [hash2(seed, 1), hash2(seed, 2)];
     for i in 0..light_samples {
@@ -71,7 +73,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             continue;
         }
         let density = n_cosine * cosine * R::of(FRAC_1_PI) + n_light * light_pdf(mesh, lights, table, &hit, direction);
-        sum = sum + lighting.radiance_at(&hit) * (cosine / density);
+        sum.add(lighting.radiance_at(&hit), cosine / density);
     }
     if let Some(sky) = sky {
         let offset = [hash2(seed, 5), hash2(seed, 6)];
@@ -83,8 +85,38 @@ pub fn irradiance<R: Real, T: Trace<R>>(
                 continue;
             }
             let density = n_cosine * cosine * R::of(FRAC_1_PI) + n_sky * R::of(f64::from(sky.bright().density[pixel]));
-            sum = sum + V3::of(sky.radiance().data[pixel]) * (cosine / density);
+            sum.add(&sky.radiance().data[pixel], cosine / density);
         }
     }
-    Gathered { irradiance: sum.to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }
+    Gathered { irradiance: sum.total().to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }
+}
+
+/// Σ L w, of radiances that lie all over memory: several are fetched at a time, as each alone is waited for.
+struct WeightedSum<'a, R> {
+    sum: V3<R>,
+    waiting: ArrayVec<(&'a [f32; 3], R), 16>,
+}
+
+impl<R: Real> Default for WeightedSum<'_, R> {
+    fn default() -> Self {
+        Self { sum: V3::zero(), waiting: ArrayVec::new() }
+    }
+}
+
+impl<'a, R: Real> WeightedSum<'a, R> {
+    fn add(&mut self, radiance: &'a [f32; 3], weight: R) {
+        if self.waiting.is_full() {
+            self.fetch();
+        }
+        self.waiting.push((radiance, weight));
+    }
+
+    fn fetch(&mut self) {
+        self.sum = self.waiting.drain(..).fold(self.sum, |sum, (radiance, weight)| sum + V3::of(*radiance) * weight);
+    }
+
+    fn total(mut self) -> V3<R> {
+        self.fetch();
+        self.sum
+    }
 }

@@ -23,7 +23,7 @@ impl<T> Lighting<'_, T> {
         T: Trace<R>,
     {
         match self.tracer.closest(origin, direction) {
-            Some(hit) => self.radiance_at(&hit),
+            Some(hit) => V3::of(*self.radiance_at(&hit)),
             None => self.environment_radiance(direction),
         }
     }
@@ -34,7 +34,7 @@ impl<T> Lighting<'_, T> {
     }
 
     /// Outgoing radiance at a hit: the nearest texel.
-    pub fn radiance_at<R: Real>(&self, hit: &TraceHit<R>) -> V3<R>
+    pub fn radiance_at<R: Real>(&self, hit: &TraceHit<R>) -> &[f32; 3]
     where
         T: Trace<R>,
     {
@@ -45,6 +45,6 @@ impl<T> Lighting<'_, T> {
             (a * w + b * hit.u + c * hit.v).value()
         });
         let texel = |x: f64, size: usize| ((x * size as f64) as usize).min(size - 1);
-        V3::of(*self.radiance.at(texel(uv[0], self.radiance.width), texel(uv[1], self.radiance.height)))
+        self.radiance.at(texel(uv[0], self.radiance.width), texel(uv[1], self.radiance.height))
     }
 }

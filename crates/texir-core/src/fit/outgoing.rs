@@ -9,6 +9,8 @@
 
 use std::f32::consts::FRAC_1_PI;
 
+use rayon::prelude::*;
+
 use super::Materials;
 use crate::atlas::Atlas;
 use crate::bake::PADDING;
@@ -32,7 +34,7 @@ pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask
         let (d, s) = (materials.diffuse.albedo_factor(roughness), specular_albedo(materials.masking, roughness));
         std::array::from_fn(|c| (d * albedo[c] + s) * irradiance[c] * FRAC_1_PI)
     };
-    let sent: Vec<[f32; 3]> = atlas.texels.iter().zip(is_fitted).map(sent).collect();
+    let sent: Vec<[f32; 3]> = (&atlas.texels, is_fitted).into_par_iter().map(sent).collect();
     atlas.padded(&sent, PADDING)
 }
 

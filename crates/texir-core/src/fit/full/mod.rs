@@ -139,10 +139,9 @@ fn recover(
     };
     let dominant = dominant_texel(seen, &evidence.segment);
     let without_joints = dominant_texel(seen, &lines.without(&seen.rows, &evidence.segment));
-    let blocks = BlockTallies {
-        all: grid.blocks(&evidence, &dominant, &half),
-        without_joints: grid.blocks(&evidence, &without_joints, &half),
-    };
+    let of_pixels = |dominant: &[u32]| grid.blocks(&evidence, dominant, &half);
+    let (all, without_joints) = rayon::join(|| of_pixels(&dominant), || of_pixels(&without_joints));
+    let blocks = BlockTallies { all, without_joints };
     let palettes = problem.palettes(&albedo, &settings.palette);
     let colour = palettes.numbered(segment, &albedo);
     let of_colours = by_colour((&colour, &palettes), (&dominant, &half), &by_segment, &evidence, &settings.roughness);

@@ -309,6 +309,29 @@ fn between_a_smooth_texel_and_a_rough_one_reflections_are_those_of_the_mean_roug
 }
 
 #[test]
+fn a_target_that_changes_in_part_is_that_of_the_roughness_changed_there() {
+    let toy = toy(|_| Vec3A::splat(0.5), 0.4, 1.0);
+    let settings = AlbedoSettings::default();
+    let mut problem = toy.problem(&settings);
+    let before = vec![0.4; toy.segment.len()];
+    let changed = |t: usize| t.is_multiple_of(3);
+    let after: Vec<f32> = (0..before.len()).map(|t| if changed(t) { 0.2 } else { before[t] }).collect();
+    let sees_changed = |p: usize| toy.seen.rows.row(p).iter().any(|share| changed(share.texel as usize));
+    for metal in [vec![], (0..before.len()).map(|t| t.is_multiple_of(2)).collect()] {
+        problem.metal = metal;
+        let whole = problem.target(&Roughness::Texels(&after));
+        let mut target = problem.target(&Roughness::Texels(&before));
+        // Negative control: it differs before it is changed.
+        assert_ne!(target.albedo, whole.albedo);
+        problem.retarget(&mut target, &Roughness::Texels(&after), sees_changed);
+        assert_eq!(target.albedo, whole.albedo);
+        let zero = vec![Vec3A::ZERO; toy.seen.len()];
+        let residuals = |target| (0..toy.seen.len()).map(|p| problem.residual(&zero, target, p)).collect::<Vec<_>>();
+        assert_eq!(residuals(&target), residuals(&whole));
+    }
+}
+
+#[test]
 fn a_joint_has_a_roughness_of_its_own_where_the_views_say_so() {
     let settings = AlbedoSettings { smoothness: 0.0, segment_prior: 1e-6, ..AlbedoSettings::default() };
     let found = |is_joint: fn(usize) -> bool, length: f32, paint: f32, finish: f32| {

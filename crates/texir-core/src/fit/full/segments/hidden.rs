@@ -23,12 +23,13 @@ pub fn label(atlas: &Atlas, surface: &[u32], known: &[Option<u16>], texel: f32) 
         let key = |t: u32| (known[t as usize], cell(t as usize));
         let mut cells: HashMap<(IVec3, u32), Vec<(u16, u32)>> = HashMap::new();
         // Texels beside each other in the atlas mostly lie in one cell.
-        for run in labelled.chunk_by(|a, b| key(*a) == key(*b)) {
-            let (Some(label), cell) = key(run[0]) else { continue };
+        let runs = labelled.par_chunk_by(|a, b| key(*a) == key(*b)).map(|run| (key(run[0]), run.len() as u32));
+        for ((label, cell), texels) in runs.collect::<Vec<_>>() {
+            let Some(label) = label else { continue };
             let counts = cells.entry(cell).or_default();
             match counts.iter_mut().find(|(known, _)| *known == label) {
-                Some((_, count)) => *count += run.len() as u32,
-                None => counts.push((label, run.len() as u32)),
+                Some((_, count)) => *count += texels,
+                None => counts.push((label, texels)),
             }
         }
         labels.par_iter_mut().enumerate().filter(|(_, label)| label.is_none()).for_each(|(t, label)| {
