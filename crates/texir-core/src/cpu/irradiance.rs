@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_PI;
 use arrayvec::ArrayVec;
 
 use super::light_sampling::{light_pdf, light_point};
-use super::lighting::Lighting;
+use super::lighting::{Lighting, TOGETHER};
 use super::sampling::{Frame, cosine_direction};
 #[cfg(doc)]
 use crate::backend::Sequences;
@@ -91,10 +91,10 @@ pub fn irradiance<R: Real, T: Trace<R>>(
     Gathered { irradiance: sum.total().to_f32(), back_faces: behind as f32 / gather.cosine.max(1) as f32 }
 }
 
-/// Σ L w, of radiances that lie all over memory: several are fetched at a time, as each alone is waited for.
+/// Σ L w, [`TOGETHER`] radiances at a time.
 struct WeightedSum<'a, R> {
     sum: V3<R>,
-    waiting: ArrayVec<(&'a [f32; 3], R), 16>,
+    waiting: ArrayVec<(&'a [f32; 3], R), TOGETHER>,
 }
 
 impl<R: Real> Default for WeightedSum<'_, R> {

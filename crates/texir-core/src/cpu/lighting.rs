@@ -5,6 +5,9 @@ use crate::raster::Rgb;
 use crate::real::{Real, V3};
 use crate::scene::trace::{Trace, TraceHit};
 
+/// Radiances that are looked up in a row, no ray between them: they lie all over memory, and each alone is waited for.
+pub const TOGETHER: usize = 16;
+
 /// Texture-based lighting: the radiance arriving along a ray is the texture's value where the ray first meets the mesh.
 #[derive(Debug)]
 pub struct Lighting<'a, T> {

@@ -5,7 +5,7 @@ use arrayvec::ArrayVec;
 use pulp::{Arch, NullaryFnOnce};
 
 use super::light_sampling::{light_pdf, light_point};
-use super::lighting::Lighting;
+use super::lighting::{Lighting, TOGETHER};
 use super::lobe::sample_lobe;
 use super::sampling::{Frame, cosine_direction};
 use crate::backend::ShadePoint;
@@ -37,9 +37,9 @@ pub fn specular_table<'a, R: Real, T: Trace<R>>(
         let seen = nodes.map(|r| sampling.masking.at(nv, r) * R::of(0.25));
         let table = lights.table(point.position.into(), point.normal.into());
         let drawn = Drawn { lighting, lights, table, point, f0, sampling };
-        let mut batch = ArrayVec::<Sample<'_, R>, BATCH>::new();
-        let mut weigh = |batch: &mut ArrayVec<Sample<'_, R>, BATCH>| {
-            let samples: ArrayVec<_, BATCH> = batch.drain(..).map(|sample| (sample.light(), sample.lobe)).collect();
+        let mut batch = ArrayVec::<Sample<'_, R>, TOGETHER>::new();
+        let mut weigh = |batch: &mut ArrayVec<Sample<'_, R>, TOGETHER>| {
+            let samples: ArrayVec<_, TOGETHER> = batch.drain(..).map(|sample| (sample.light(), sample.lobe)).collect();
             let masking = sampling.masking;
             widest.dispatch(AtEveryNode { samples: &samples, masking, nodes: &nodes, seen: &seen, sums: &mut sums });
         };
@@ -70,9 +70,6 @@ pub fn specular_table<'a, R: Real, T: Trace<R>>(
     }
     std::array::from_fn(|k| V3(sums.map(|sums| sums[k])) * R::of(1.0 / STRATA as f64))
 }
-
-/// Samples that are weighed together: their radiances lie all over memory, and each alone would be waited for.
-const BATCH: usize = 16;
 
 /// One stratum's point and what directions are drawn with.
 struct Drawn<'a, T> {
