@@ -256,13 +256,13 @@ fn scan(
     let _task = Task::start(progress, "joints", 1 + tried().count() as u64, "roughnesses");
     for k in std::iter::once(None).chain(tried().map(Some)) {
         progress.check()?;
-        let mut with = roughness.to_vec();
         if let Some(k) = k {
+            let mut with = roughness.to_vec();
             for (r, covered) in with.iter_mut().zip(&lines.covered) {
                 covered.iter().for_each(|covered| *r = mixed(*r, node(k), covered.share()));
             }
+            problem.retarget(&mut target, &Roughness::Texels(&with), sees_lines);
         }
-        problem.retarget(&mut target, &Roughness::Texels(&with), sees_lines);
         let (mut albedo, mut predicted) = (albedo.to_vec(), before.clone());
         problem.solve((&mut albedo, &mut predicted), (&target, &sigma), 1, settings.iterations, EdgeGuide::Albedo);
         for &(p, group, share) in &judged {
