@@ -33,6 +33,8 @@ pub const SOURCES: &[(&str, &str)] = sources![
     "shared/lighting",
     "shared/lobe",
     "shared/math",
+    "shared/micromaps",
+    "shared/opaque",
     "shared/rng",
     "shared/roughness_authors",
     "shared/roughness_exact",

@@ -2,10 +2,11 @@
 // Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017; obvhs interleaves minima and maxima).
 //
 // While-while: nodes until some yield triangles, then those triangles, because a CPU driver runs both sides of every
-// `if` in a loop. A node is 5 words (80 bytes), a triangle 4 (64 bytes, a cache line): (corner a, the triangle's index
-// in the mesh), (b − a, u of c), (c − a, v of c), (u and v of a, u and v of b).
+// `if` in a loop. A node is 5 words (80 bytes), a triangle 4 (64 bytes, a cache line): (corner a, the triangle's tag),
+// (b − a, u of c), (c − a, v of c), (u and v of a, u and v of b).
 
 #import fetch
+#import opacity
 
 // A ray's first hit; `primitive` counts in the hierarchy's order, MISS for none. Point = (1−u−v)·a + u·b + v·c.
 struct Intersection {
@@ -105,7 +106,7 @@ fn is_finite(v: vec3f) -> bool {
     return all((bitcast<vec3u>(v) & vec3u(0x7f800000u)) != vec3u(0x7f800000u));
 }
 
-// The closest hit with 0 < t < t_max, or with `any_hit`, a constant, the first that is found.
+// The closest hit with 0 < t < t_max of what is there of a triangle, or with `any_hit`, a constant, the first that is found.
 fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersection {
     let ray = traversal_ray(origin, direction);
     let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
@@ -143,7 +144,8 @@ fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersec
             let bit = firstLeadingBit(leaf.y);
             leaf.y &= ~(1u << bit);
             let primitive = leaf.x + bit;
-            let v0 = triangle_part(primitive, 0u).xyz;
+            let corner = triangle_word(primitive * 4u);
+            let v0 = bitcast<vec3f>(corner.xyz);
             let e1 = triangle_part(primitive, 1u).xyz;
             let e2 = triangle_part(primitive, 2u).xyz;
             let p = cross(direction, e2);
@@ -155,7 +157,8 @@ fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersec
             let v = dot(direction, q) * inverse;
             let t = dot(e2, q) * inverse;
             let counted = t + select(0.0, BACK_FACE_BIAS * (t + size), determinant < 0.0);
-            if determinant != 0.0 && u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < t_max && counted < reach {
+            let nearer = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < t_max && counted < reach;
+            if determinant != 0.0 && nearer && is_met(corner.w, u, v) {
                 best = Intersection(primitive, u, v, t);
                 reach = counted;
             }
@@ -185,5 +188,5 @@ fn primitive_normal(primitive: u32) -> vec3f {
 
 // Index in the mesh of a primitive of the hierarchy.
 fn mesh_triangle(primitive: u32) -> u32 {
-    return triangle_word(primitive * 4u).w;
+    return tagged_triangle(triangle_word(primitive * 4u).w);
 }

@@ -16,7 +16,7 @@ use texir_core::lights::Lights;
 use texir_core::progress::{Progress, Silent};
 use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
-use texir_core::scene::Scene;
+use texir_core::scene::{Scene, TriangleOpacity};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::{Pyramid, SparseRows, Tap};
 use texir_gpu::{BvhStorage, GatherShape, Gpu, GpuBackend};
@@ -43,6 +43,11 @@ fn points(scene: &Scene, count: u32) -> Vec<SurfacePoint> {
             SurfacePoint { index: i, ..point }
         })
         .collect()
+}
+
+/// What rays meet where some triangles are not there for them.
+fn transparent(is_transparent: impl Fn(u32) -> bool) -> impl Fn(u32) -> TriangleOpacity {
+    move |triangle| if is_transparent(triangle) { TriangleOpacity::Transparent } else { TriangleOpacity::Opaque }
 }
 
 /// Lights a backend by [`scenes::smooth_light`].
@@ -126,7 +131,7 @@ fn light_passes_through_panes_as_if_they_were_not_there() {
         mesh.uvs.extend([(0.93, 0.93), (0.99, 0.93), (0.99, 0.99), (0.93, 0.99)].map(Vec2::from));
         let pane = [[0, 1, 2], [0, 2, 3]].map(|t| t.map(|corner| first + corner));
         mesh.triangles.splice(PLACE..PLACE, pane);
-        Scene::with_panes(mesh, |t| is_pane && (PLACE as u32..PLACE as u32 + 2).contains(&t)).unwrap()
+        Scene::with_opacity(mesh, transparent(|t| is_pane && (PLACE as u32..PLACE as u32 + 2).contains(&t))).unwrap()
     };
     let points_of_bare = points(&bare, 60);
     let moved = |p: &SurfacePoint| {
@@ -159,8 +164,42 @@ fn light_passes_through_panes_as_if_they_were_not_there() {
 }
 
 #[test]
+fn triangles_that_rays_meet_in_parts_are_the_same_to_all() {
+    let mesh = room().mesh().clone();
+    // Holes of many sizes, in all that there is: lights, walls, and things before them.
+    let in_parts = |triangle: u32| {
+        let side = [1, 2, 5, 16, 33, 100][triangle as usize % 6];
+        TriangleOpacity::from_coverage(side, hash(triangle), |[[u, v], ..]| if u + v < 0.4 { 1.0 } else { 0.7 * u })
+    };
+    let scene = Arc::new(Scene::with_opacity(mesh.clone(), in_parts).unwrap());
+    assert!(scene.micromaps().len() > mesh.triangles.len() / 2);
+    let (points, camera) = (points(&scene, 100), &scenes::cameras()[0]);
+    let traced = |backend: &mut dyn Backend| {
+        light(backend);
+        let e = backend.irradiance(&points, Gather::new(64, 64, 5), &Silent).unwrap();
+        (flat(&e), backend.primary(camera, camera.rows()).unwrap())
+    };
+    let expected = traced(&mut CpuBackend::new(scene.clone()));
+    for place in [BvhStorage::Buffers, BvhStorage::Textures] {
+        let got = traced(&mut GpuBackend::with_bvh_storage(&gpu(), scene.clone(), place).unwrap());
+        // Of some thousand rays one or two go by the edge of a part.
+        let different = expected.1.iter().zip(&got.1).filter(|(a, b)| a.triangle != b.triangle).count();
+        assert!(different * 1000 < expected.1.len(), "{different} of {} pixels", expected.1.len());
+        let far = TRACED.failures(&got.0, &expected.0).len();
+        assert!(far * 10 < expected.0.len(), "{far} of {} sums", expected.0.len());
+        let mean = |e: &[f64]| e.iter().sum::<f64>() / e.len() as f64;
+        assert!((mean(&got.0) / mean(&expected.0) - 1.0).abs() < 1e-3, "{place:?}");
+    }
+    // Negative control: the same without holes.
+    let whole = traced(&mut CpuBackend::new(Arc::new(Scene::new(mesh).unwrap())));
+    let different = expected.1.iter().zip(&whole.1).filter(|(a, b)| a.triangle != b.triangle).count();
+    assert!(different * 5 > expected.1.len(), "{different} of {} pixels", expected.1.len());
+    assert!(TRACED.failures(&whole.0, &expected.0).len() * 2 > expected.0.len());
+}
+
+#[test]
 fn lights_are_solid() {
-    let scene = Arc::new(Scene::with_panes(room().mesh().clone(), |t| t == 7).unwrap());
+    let scene = Arc::new(Scene::with_opacity(room().mesh().clone(), transparent(|t| t == 7)).unwrap());
     let mut luminance = vec![0.0; scene.mesh().triangles.len()];
     let radiance = scenes::smooth_light(192);
     let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();

@@ -72,7 +72,7 @@ impl GpuBackend {
     pub fn with_bvh_storage(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: BvhStorage) -> Result<Self> {
         let scene = scene.into();
         let geometry = gpu.with_error_scopes("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
-        let context = Context::new(gpu.clone(), hierarchy);
+        let context = Context::new(gpu.clone(), hierarchy, !scene.micromaps().is_empty());
         let (cache, groups) = Default::default();
         Ok(Self { scene, context, geometry, lighting: None, shape: None, cache, groups })
     }

@@ -117,14 +117,16 @@ pub(crate) struct Context {
     pub gpu: Gpu,
     pub pool: Pool,
     hierarchy: BvhStorage,
+    micromaps: bool,
     budgets: HashMap<KernelKey, DispatchBudget>,
     /// How long a dispatch should take.
     target: Duration,
 }
 
 impl Context {
-    pub fn new(gpu: Gpu, hierarchy: BvhStorage) -> Self {
-        Self { gpu, hierarchy, pool: Pool::default(), budgets: HashMap::new(), target: USUAL_TIME }
+    /// Of a scene that lies there, and has micromaps or none.
+    pub fn new(gpu: Gpu, hierarchy: BvhStorage, micromaps: bool) -> Self {
+        Self { gpu, hierarchy, micromaps, pool: Pool::default(), budgets: HashMap::new(), target: USUAL_TIME }
     }
 
     /// Sets how long a dispatch should take.
@@ -157,7 +159,7 @@ impl Context {
         constant: Option<(&'static str, u32)>,
         roughness: RoughnessGradient,
     ) -> Result<Arc<Kernel>> {
-        let variant = Variant { hierarchy: self.hierarchy, roughness };
+        let variant = Variant { hierarchy: self.hierarchy, micromaps: self.micromaps, roughness };
         self.gpu.kernel(KernelKey { shader, entry, variant, constant })
     }
 

@@ -30,7 +30,7 @@ use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::pass::{WORKGROUP, specular_table};
-use crate::scene::{BvhStorage, LightGrid, LightPrimitive, TEXTURE_COLUMNS};
+use crate::scene::{BvhStorage, IN_PARTS, LightGrid, LightPrimitive, TEXTURE_COLUMNS};
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -51,7 +51,7 @@ macro_rules! host {
 
 /// The declaration of `name` in the composed shader.
 fn wgsl(shader: &str, name: &str) -> Layout {
-    let variant = Variant { hierarchy: BvhStorage::Buffers, roughness: RoughnessGradient::Exact };
+    let variant = Variant { hierarchy: BvhStorage::Buffers, micromaps: false, roughness: RoughnessGradient::Exact };
     let module = SHADERS.compose(shader, variant).unwrap().module;
     let (_, ty) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
@@ -235,6 +235,7 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
     vec![
         ("primary", "TEXTURE_COLUMNS", TEXTURE_COLUMNS.into()),
         ("primary", "WORKGROUP", WORKGROUP as f64),
+        ("primary", "IN_PARTS", IN_PARTS.into()),
         ("primary", "STACK_SIZE", (MAX_LEVELS + 1) as f64),
         ("primary", "BACK_FACE_BIAS", BACK_FACE_BIAS),
         ("primary", "SLAB_ROUNDING", SLAB_ROUNDING.into()),
@@ -268,7 +269,7 @@ fn constant(module: &naga::Module, name: &str) -> Option<f64> {
 
 #[test]
 fn constants_that_both_have_are_the_same() {
-    let variant = Variant { hierarchy: BvhStorage::Textures, roughness: RoughnessGradient::Exact };
+    let variant = Variant { hierarchy: BvhStorage::Textures, micromaps: true, roughness: RoughnessGradient::Exact };
     for (shader, name, host) in constants() {
         let module = SHADERS.compose(shader, variant).unwrap().module;
         assert_eq!(constant(&module, name).map(|value| value as f32), Some(host as f32), "{name} of {shader}.wgsl");

@@ -16,6 +16,9 @@ pub(crate) const TEXTURE_COLUMNS: u32 = 8192;
 /// Bytes written into a texture at once.
 const TEXTURE_PIECE: usize = 32 << 20;
 
+/// As `shared/micromaps.wgsl` has it: of a triangle that rays meet in parts, its tag is where its micromap begins.
+pub(crate) const IN_PARTS: u32 = 1 << 31;
+
 /// Where the hierarchy lies on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BvhStorage {
@@ -84,12 +87,16 @@ impl Geometry {
         let (mesh, order) = (scene.mesh(), scene.primitives());
         let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
         let mut triangles = Vec::with_capacity(4 * order.len());
+        let (micromaps, begins) = micromap_words(scene, 4 * order.len());
         for &t in order {
             let [a, b, c] = mesh.corners(t);
             let [uv_a, uv_b, uv_c] = mesh.corner_uvs(t);
-            triangles.extend([word(a, t), word(b - a, uv_c.x.to_bits()), word(c - a, uv_c.y.to_bits())]);
+            let in_parts = scene.micromaps().binary_search_by_key(&t, |(triangle, _)| *triangle);
+            let tag = in_parts.map_or(t, |k| IN_PARTS | begins[k]);
+            triangles.extend([word(a, tag), word(b - a, uv_c.x.to_bits()), word(c - a, uv_c.y.to_bits())]);
             triangles.push([uv_a.x, uv_a.y, uv_b.x, uv_b.y].map(f32::to_bits));
         }
+        triangles.extend(micromaps);
         Ok(Self {
             nodes: DeviceArray::new(gpu, "hierarchy", bytemuck::cast_slice(scene.nodes()), place)?,
             triangles: DeviceArray::new(gpu, "triangles", &triangles, place)?,
@@ -109,6 +116,21 @@ impl Geometry {
         let environment = ("environment", wgpu::BindingResource::TextureView(&self.sky.radiance));
         [nodes, triangles, tbl, environment]
     }
+}
+
+/// The micromaps of a scene, behind `first` words, as `shared/micromaps.wgsl` reads them; and where each begins.
+fn micromap_words(scene: &Scene, first: usize) -> (Vec<[u32; 4]>, Vec<u32>) {
+    let (mut words, mut begins) = (Vec::new(), Vec::new());
+    for (triangle, micromap) in scene.micromaps() {
+        begins.push((first + words.len()) as u32);
+        words.push([*triangle, micromap.side(), 0, 0]);
+        words.extend(micromap.words().chunks(4).map(|bits| {
+            let mut word = [0; 4];
+            word[..bits.len()].copy_from_slice(bits);
+            word
+        }));
+    }
+    (words, begins)
 }
 
 /// What rays see that miss the mesh, and the density with which it is sampled.

@@ -24,6 +24,8 @@ pub const SHADERS: Library<'static> = Library(texir_shaders::SOURCES);
 pub struct Variant {
     /// `fetch`: where the hierarchy lies.
     pub hierarchy: BvhStorage,
+    /// `opacity`: whether rays meet triangles in parts.
+    pub micromaps: bool,
     /// `roughness`: which derivative with respect to roughness shading returns.
     pub roughness: RoughnessGradient,
 }
@@ -33,17 +35,31 @@ impl Variant {
     #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Self> {
         [BvhStorage::Buffers, BvhStorage::Textures].into_iter().flat_map(|hierarchy| {
-            [RoughnessGradient::Exact, RoughnessGradient::Authors].map(|roughness| Self { hierarchy, roughness })
+            [false, true].into_iter().flat_map(move |micromaps| {
+                [RoughnessGradient::Exact, RoughnessGradient::Authors].map(|roughness| Self {
+                    hierarchy,
+                    micromaps,
+                    roughness,
+                })
+            })
         })
     }
 
     /// The module behind an imported name.
     fn module<'n>(&self, name: &'n str) -> &'n str {
-        match (name, self.hierarchy, self.roughness) {
-            ("fetch", BvhStorage::Textures, _) => "fetch_texture",
-            ("fetch", BvhStorage::Buffers, _) => "fetch_buffer",
-            ("roughness", _, RoughnessGradient::Exact) => "roughness_exact",
-            ("roughness", _, RoughnessGradient::Authors) => "roughness_authors",
+        match name {
+            "fetch" => match self.hierarchy {
+                BvhStorage::Textures => "fetch_texture",
+                BvhStorage::Buffers => "fetch_buffer",
+            },
+            "opacity" => match self.micromaps {
+                true => "micromaps",
+                false => "opaque",
+            },
+            "roughness" => match self.roughness {
+                RoughnessGradient::Exact => "roughness_exact",
+                RoughnessGradient::Authors => "roughness_authors",
+            },
             _ => name,
         }
     }
@@ -146,8 +162,9 @@ fn chain(error: &dyn std::error::Error) -> String {
 
 fn dump(name: &str, variant: Variant, source: &str) -> Result<()> {
     let Some(folder) = std::env::var_os("TEXIR_DUMP_WGSL") else { return Ok(()) };
-    let Variant { hierarchy, roughness } = variant;
-    let file = Path::new(&folder).join(format!("{name}_{hierarchy:?}_{roughness:?}.wgsl").to_lowercase());
+    let Variant { hierarchy, micromaps, roughness } = variant;
+    let opacity = if micromaps { "micromaps" } else { "opaque" };
+    let file = Path::new(&folder).join(format!("{name}_{hierarchy:?}_{opacity}_{roughness:?}.wgsl").to_lowercase());
     std::fs::create_dir_all(&folder)
         .and_then(|()| std::fs::write(&file, source))
         .map_err(|e| Error::file(&file, format!("cannot write the composed shader (TEXIR_DUMP_WGSL): {e}")))

@@ -2,8 +2,8 @@
 //! emission (`KHR_materials_emissive_strength`, `KHR_texture_transform`), and `KHR_lights_punctual`.
 //!
 //! Base colour is the albedo, also of metals, whose reflection is treated as diffuse; on request so is the specular
-//! reflection of dielectrics ([`BounceAlbedo`]). Light passes through primitives that are less than half opaque; others
-//! are opaque everywhere. Vertex colours, skins and morph targets are ignored, with a warning.
+//! reflection of dielectrics ([`BounceAlbedo`]). Light passes where alpha or transmission let it (`opacity.rs`). Vertex
+//! colours, skins and morph targets are ignored, with a warning.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -23,14 +23,14 @@ use crate::backend::Backend;
 use crate::bake::{PADDING, Texels};
 use crate::brdf::Masking;
 use crate::environment::Environment;
-use crate::error::{Error, Result, listed};
+use crate::error::{Error, Result};
 use crate::glb::check_length;
 use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
-use crate::scene::Scene;
+use crate::scene::{Scene, TriangleOpacity};
 use crate::specular_albedo::specular_albedo;
 use crate::surface::{SurfacePoint, TexelHit};
 
@@ -39,9 +39,6 @@ const LOOKUPS: usize = 2;
 
 /// Normals against the front are told of where they are on more than this share of the surface.
 const FEW: f64 = 1e-3;
-
-/// Primitives of less opacity are panes.
-const SOLID: f32 = 0.5;
 
 /// Extensions that say what shines, and what becomes of light at surfaces, beyond what is read here. Those that only
 /// add gloss do not matter to what is Lambertian.
@@ -66,8 +63,8 @@ pub(crate) struct Part {
     pub material: Option<usize>,
     /// The node's name, or its index.
     pub name: String,
-    /// Whether light passes as if it were not there.
-    pub is_pane: bool,
+    /// Of every triangle, what rays meet of it; none where they meet all of all.
+    pub opacity: Vec<TriangleOpacity>,
 }
 
 impl Part {
@@ -75,6 +72,20 @@ impl Part {
         let Self { positions, normals, uvs, triangles, .. } = self;
         let uvs: usize = uvs.iter().map(|set| size_of_val(&set[..])).sum();
         (size_of_val(&positions[..]) + size_of_val(&normals[..]) + uvs + size_of_val(&triangles[..])) as u64
+    }
+
+    /// Bytes of what rays meet of its triangles.
+    fn memory_of_opacity(&self) -> u64 {
+        let of_triangle = |opacity: &TriangleOpacity| match opacity {
+            TriangleOpacity::Micromap(micromap) => size_of_val(micromap.words()),
+            TriangleOpacity::Opaque | TriangleOpacity::Transparent => 0,
+        };
+        (size_of_val(&self.opacity[..]) + self.opacity.iter().map(of_triangle).sum::<usize>()) as u64
+    }
+
+    /// Whether light passes as if it were not there.
+    pub fn is_transparent(&self) -> bool {
+        !self.opacity.is_empty() && self.opacity.iter().all(|opacity| *opacity == TriangleOpacity::Transparent)
     }
 }
 
@@ -91,7 +102,7 @@ pub struct Model {
     /// The primitives, whose vertices and triangles `mesh` holds one after the other.
     pub(crate) parts: Vec<Part>,
     /// By document index, glTF's default material last.
-    shading: Vec<Shading>,
+    pub(super) shading: Vec<Shading>,
     images: Images,
 }
 
@@ -159,12 +170,11 @@ pub fn read_gltf(
         .collect::<Result<_>>()?;
     let geometry: u64 = parts.iter().map(|part| part.memory() + size_of_val(&part.uvs[0][..]) as u64).sum();
     check_length(geometry + files.iter().sum::<u64>()).map_err(|what| Error::file(path, what))?;
-    let transparent = find_panes(&mut parts, &shading);
     let mut model =
         Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
     let mut told = model.without_coordinates();
-    told.extend(transparent);
     told.extend(model.lay_out(size, progress)?);
+    told.extend(model.find_openings());
     told.extend(model.turned_away());
     told.extend(model.mesh.misplaced());
     told.iter().for_each(|what| progress.warn(&format!("{}: {what}", path.display())));
@@ -172,23 +182,27 @@ pub fn read_gltf(
 }
 
 impl Model {
-    /// The mesh as light meets it: it passes through panes. Errors where there is nothing else, and as
-    /// [`Scene::check`].
+    /// The mesh as light meets it. Errors where it passes everywhere, and as [`Scene::check`].
     pub fn scene(&self) -> Result<Scene> {
-        let pane_of: Vec<bool> =
-            self.parts.iter().flat_map(|part| std::iter::repeat_n(part.is_pane, part.triangles.len())).collect();
-        Scene::with_panes(self.mesh.clone(), |triangle| pane_of[triangle as usize])
+        let firsts: Vec<usize> = self.first_triangles().collect();
+        Scene::with_opacity(self.mesh.clone(), |triangle| {
+            let part = firsts.partition_point(|first| *first <= triangle as usize) - 1;
+            let of_part = self.parts[part].opacity.get(triangle as usize - firsts[part]);
+            of_part.cloned().unwrap_or(TriangleOpacity::Opaque)
+        })
     }
 
     /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in
-    /// parts.
+    /// parts; of what rays meet of it as its [`Model::scene`] will have it, too.
     pub fn memory(&self) -> u64 {
         let Mesh { positions, normals, uvs, triangles } = &self.mesh;
         let whole = size_of_val(&positions[..])
             + size_of_val(&normals[..])
             + size_of_val(&uvs[..])
             + size_of_val(&triangles[..]);
-        self.images.memory() + whole as u64 + self.parts.iter().map(Part::memory).sum::<u64>()
+        self.images.memory()
+            + whole as u64
+            + self.parts.iter().map(|part| part.memory() + 2 * part.memory_of_opacity()).sum::<u64>()
     }
 
     /// What the scene emits and reflects at the texels of its lightmap: the mean over each.
@@ -276,8 +290,8 @@ impl Model {
 
     /// Names of the materials in the scene that reflect at least a `share` of the light in some channel, on average.
     pub(super) fn reflecting(&self, share: f32) -> Vec<String> {
-        let solid = self.parts.iter().filter(|part| !part.is_pane);
-        let used: BTreeSet<usize> = solid.map(|part| self.shading_of(part)).collect();
+        let met = self.parts.iter().filter(|part| !part.is_transparent());
+        let used: BTreeSet<usize> = met.map(|part| self.shading_of(part)).collect();
         let used = used.into_iter().map(|shading| &self.shading[shading]);
         used.filter(|shading| shading.albedo.mean(&self.images).max_element() >= share)
             .map(|s| s.name.clone())
@@ -299,7 +313,7 @@ impl Model {
     }
 
     /// The place of a part's material in `shading`.
-    fn shading_of(&self, part: &Part) -> usize {
+    pub(super) fn shading_of(&self, part: &Part) -> usize {
         part.shading(self.shading.len())
     }
 
@@ -347,7 +361,7 @@ impl Part {
         let uvs = uvs.into_iter().map(|uvs| uvs.into_iter().map(Option::unwrap_or_default).collect()).collect();
         let named = node.name().or_else(|| node.mesh().and_then(|mesh| mesh.name()));
         let name = named.map_or(format!("node {}", node.index()), str::to_owned);
-        let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name, is_pane: false };
+        let part = Self { positions, normals: vec![], uvs, has_uvs, triangles, material, name, opacity: vec![] };
         Ok(part.with_normals(&normals))
     }
 
@@ -372,28 +386,6 @@ impl Part {
         let normals = (0..corners.len()).map(flat).collect();
         Self { normals, ..self }
     }
-}
-
-/// Tells which parts light passes through, and what to tell the user of those that are transparent in any way. What
-/// shines is no pane, or no ray would find it.
-fn find_panes(parts: &mut [Part], shading: &[Shading]) -> Vec<String> {
-    let (mut panes, mut solid) = (Vec::new(), Vec::new());
-    for part in parts {
-        let Shading { opacity, emission, .. } = &shading[part.shading(shading.len())];
-        let opaque = opacity.over(&part.positions, &part.uvs, &part.triangles);
-        part.is_pane = opaque < SOLID && emission.factor == Vec3::ZERO;
-        if opaque < 1.0 {
-            let names = if part.is_pane { &mut panes } else { &mut solid };
-            names.push(format!("\"{}\"", part.name));
-        }
-    }
-    let told = [
-        (panes, "less than half opaque, and let all light through, untinted"),
-        (solid, "transparent in places, and count as opaque: at least half of their surface is, or they shine"),
-    ];
-    let sentence =
-        |(names, what): &(Vec<String>, &str)| format!("{} primitives are {what}: {}", names.len(), listed(names));
-    told.iter().filter(|(names, _)| !names.is_empty()).map(sentence).collect()
 }
 
 /// A light in the frame of its node, shining along −Z.

@@ -21,6 +21,8 @@ mod layout;
 mod materials;
 #[cfg(feature = "files")]
 mod opacity;
+#[cfg(feature = "files")]
+mod openings;
 mod punctual;
 mod series;
 #[cfg(feature = "files")]

@@ -19,7 +19,7 @@ use crate::image_io::encode_png;
 use crate::progress::Silent;
 use crate::punctual::PunctualLight;
 use crate::raster::{Raster, Rgb};
-use crate::scene::Scene;
+use crate::scene::{Scene, TriangleOpacity};
 use crate::surface::SurfacePoint;
 
 /// Corners of a unit square, counter-clockwise from above.
@@ -473,12 +473,12 @@ fn under_a_roof(roof: Mat4, material: Option<Value>) -> f32 {
     let roof = Mat4::from_translation(4.0 * Vec3::Y) * roof * wide;
     let placed = [(0, Mat4::IDENTITY), (1, roof)];
     let scene = write_lit(folder.path(), &placed, Vec3::new(0.5, 2.0, 0.5), vec![None, material]);
-    let model = read_gltf(scene, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
+    let model = read_gltf(scene, 256, BounceAlbedo::Diffuse, &Silent).unwrap();
     let mut backend = CpuBackend::new(model.scene().unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
-    let bounces = Bounces { quality, tolerance: 0.0, most: 2 };
+    let bounces = Bounces { quality, tolerance: 0.0, most: 1 };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     // The floor has the mesh's first two triangles.
     let (mut sum, mut count) = (0.0, 0);
@@ -504,24 +504,41 @@ fn no_light_comes_through_a_sheet() {
 }
 
 #[test]
-fn all_light_comes_through_a_pane() {
-    let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1.0 } } });
-    let open = under_a_roof(Mat4::from_translation(20.0 * Vec3::X), Some(glass.clone()));
-    assert_eq!(under_a_roof(Mat4::IDENTITY, Some(glass)), open);
-    // Negative control: paint of the same name for its factor.
-    let painted = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 0.3 } } });
-    assert_eq!(under_a_roof(Mat4::IDENTITY, Some(painted)), 0.0);
+fn as_much_light_passes_as_a_surface_lets_through() {
+    let transmitting =
+        |share: f32| json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": share } } });
+    let blended = |alpha: f32| json!({ "alphaMode": "BLEND", "pbrMetallicRoughness": { "baseColorFactor": [0.0, 0.0, 0.0, alpha] } });
+    let open = under_a_roof(Mat4::from_translation(20.0 * Vec3::X), Some(transmitting(1.0)));
+    assert_eq!(under_a_roof(Mat4::IDENTITY, Some(transmitting(1.0))), open);
+    assert_eq!(under_a_roof(Mat4::IDENTITY, Some(transmitting(0.0))), 0.0);
+    for (material, expected) in [(transmitting(0.3), 0.3), (blended(0.25), 0.75), (blended(0.9), 0.1)] {
+        let through = under_a_roof(Mat4::IDENTITY, Some(material.clone())) / open;
+        assert!((through - expected).abs() < 0.02, "{through} of the light passes: {material}");
+    }
 }
 
 #[test]
-fn what_is_less_than_half_opaque_is_a_pane() {
+fn surfaces_are_there_where_their_materials_are_opaque() {
     let folder = tempfile::tempdir().unwrap();
     // Opaque in its left quarter; in the file, so that it is read as PNGs with alpha are.
     let mut image = image::RgbaImage::from_pixel(64, 4, image::Rgba([255, 255, 255, 0]));
     (0..16).for_each(|x| (0..4).for_each(|y| image.get_pixel_mut(x, y).0[3] = 255));
     image.save(folder.path().join("quarter.png")).unwrap();
+    // The share of a primitive that rays meet: its triangles are of one size.
+    let share = |part: &super::gltf::Part| {
+        let of_triangle = |opacity: &TriangleOpacity| match opacity {
+            TriangleOpacity::Opaque => 1.0,
+            TriangleOpacity::Transparent => 0.0,
+            TriangleOpacity::Micromap(map) => {
+                let set: u32 = map.words().iter().map(|word| word.count_ones()).sum();
+                set as f32 / map.side().pow(2) as f32
+            }
+        };
+        let sum: f32 = part.opacity.iter().map(of_triangle).sum();
+        if part.opacity.is_empty() { 1.0 } else { sum / part.opacity.len() as f32 }
+    };
     // The square shows the image from `at` on, `scale` of it.
-    let panes = |material: Value, (scale, at): (f32, f32)| {
+    let read = |material: &Value, (scale, at): (f32, f32)| {
         let told = Warnings::default();
         let more = json!({
             "images": [{ "uri": "quarter.png" }, { "uri": png() }],
@@ -529,9 +546,9 @@ fn what_is_less_than_half_opaque_is_a_pane() {
         });
         let source = write_squares(folder.path(), &[(&[set(scale, at)], Some(0)), (&[set(1.0, 0.0)], None)], more);
         let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &told).unwrap();
-        assert!(!model.parts[1].is_pane);
+        assert!(model.parts[1].opacity.is_empty());
         let told: Vec<String> = told.all().into_iter().filter(|what| what.contains("primitives are")).collect();
-        (model.parts[0].is_pane, told.join(" "))
+        (share(&model.parts[0]), told.join(" "))
     };
     let whole = (1.0, 0.0);
     let plain = |mode: &str, alpha: f32| json!({ "alphaMode": mode, "pbrMetallicRoughness": { "baseColorFactor": [1.0, 1.0, 1.0, alpha] } });
@@ -539,40 +556,82 @@ fn what_is_less_than_half_opaque_is_a_pane() {
         let base = json!({ "baseColorTexture": { "index": texture }, "baseColorFactor": [1.0, 1.0, 1.0, alpha] });
         json!({ "alphaMode": mode, "pbrMetallicRoughness": base })
     };
-    let through = "less than half opaque, and let all light through, untinted: \"node 0\"";
-    let solid = "transparent in places, and count as opaque";
+    // Transmission replaces what is reflected, not what is emitted.
+    let lamp = |mut material: Value| {
+        material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
+        material
+    };
+    let glass = json!({ "extensions": { "KHR_materials_transmission": { "transmissionFactor": 0.8 } } });
     for (material, shown, expected) in [
-        (plain("BLEND", 0.3), whole, Some(true)),
-        (plain("BLEND", 0.7), whole, Some(false)),
-        (plain("MASK", 0.3), whole, Some(true)),
-        (plain("MASK", 0.7), whole, None),
-        (plain("OPAQUE", 0.0), whole, None),
-        (textured("MASK", 0, 1.0), whole, Some(true)),
-        (textured("BLEND", 0, 1.0), whole, Some(true)),
-        (textured("OPAQUE", 0, 1.0), whole, None),
+        (plain("BLEND", 0.3), whole, 0.3),
+        (plain("BLEND", 0.7), whole, 0.7),
+        (plain("MASK", 0.3), whole, 0.0),
+        (plain("MASK", 0.7), whole, 1.0),
+        (plain("OPAQUE", 0.0), whole, 1.0),
+        (textured("MASK", 0, 1.0), whole, 0.25),
+        (textured("BLEND", 0, 1.0), whole, 0.25),
+        (textured("BLEND", 0, 0.4), whole, 0.1),
+        (textured("OPAQUE", 0, 1.0), whole, 1.0),
         // What it shows decides, not what the image holds: the quarter alone, what is beside it.
-        (textured("MASK", 0, 1.0), (0.2, 0.01), None),
-        (textured("BLEND", 0, 1.0), (0.2, 0.01), None),
-        (textured("BLEND", 0, 0.4), (0.2, 0.01), Some(true)),
-        (textured("BLEND", 0, 1.0), (0.3, 0.0), Some(false)),
-        (textured("MASK", 0, 1.0), (0.5, 0.4), Some(true)),
+        (textured("MASK", 0, 1.0), (0.2, 0.01), 1.0),
+        (textured("BLEND", 0, 1.0), (0.2, 0.01), 1.0),
+        (textured("BLEND", 0, 0.4), (0.2, 0.01), 0.4),
+        (textured("BLEND", 0, 1.0), (0.3, 0.0), 0.25 / 0.3),
+        (textured("MASK", 0, 1.0), (0.5, 0.4), 0.0),
         // Images without alpha.
-        (textured("MASK", 1, 1.0), whole, None),
-        (textured("BLEND", 1, 0.4), whole, Some(true)),
+        (textured("MASK", 1, 1.0), whole, 1.0),
+        (textured("BLEND", 1, 0.4), whole, 0.4),
+        (lamp(plain("BLEND", 0.3)), whole, 0.3),
+        (glass.clone(), whole, 0.2),
+        (lamp(glass), whole, 1.0),
     ] {
-        let (is_pane, told) = panes(material.clone(), shown);
-        assert_eq!(is_pane, expected == Some(true), "{material} {shown:?}");
-        match expected {
-            Some(true) => assert!(told.contains(through), "{material}: {told}"),
-            Some(false) => assert!(told.contains(solid), "{material}: {told}"),
-            None => assert_eq!(told, "", "{material}"),
-        }
+        let (share, told) = read(&material, shown);
+        assert!((share - expected).abs() < 0.02, "{share} is there: {material} {shown:?}");
+        let is_told = told.contains("1 primitives are transparent, or in parts") && told.contains("\"node 0\"");
+        assert_eq!(is_told, expected < 1.0, "{material}: {told}");
     }
-    // What shines is found by rays.
-    let mut lamp = plain("BLEND", 0.3);
-    lamp["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
-    let (is_pane, told) = panes(lamp, whole);
-    assert!(!is_pane && told.contains(solid), "{told}");
+}
+
+#[test]
+fn cut_outs_cast_the_shadow_of_what_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    // The left half of the roof.
+    let mut image = image::RgbaImage::from_pixel(8, 8, image::Rgba([255, 255, 255, 0]));
+    (0..4).for_each(|x| (0..8).for_each(|y| image.get_pixel_mut(x, y).0[3] = 255));
+    image.save(folder.path().join("half.png")).unwrap();
+    let squares = [(&[set(0.48, 0.01)][..], None), (&[set(1.0, 0.0)][..], Some(0))];
+    let sun =
+        json!({ "extensions": { "KHR_lights_punctual": { "lights": [{ "type": "directional", "intensity": 4.0 }] } } });
+    let mut more = json!({
+        "images": [{ "uri": "half.png" }], "textures": [{ "source": 0 }],
+        "materials": [{ "alphaMode": "MASK", "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }],
+        "extensionsUsed": ["KHR_lights_punctual"], "scenes": [{ "nodes": [0, 1, 2] }],
+    });
+    more.as_object_mut().unwrap().extend(sun.as_object().unwrap().clone());
+    let source = write_squares(folder.path(), &squares, more);
+    // Straight down: its −Z is the world's −Y.
+    let mut document: Value = serde_json::from_slice(&std::fs::read(&source).unwrap()).unwrap();
+    let lamp = json!({ "rotation": [-0.5f32.sqrt(), 0.0, 0.0, 0.5f32.sqrt()], "extensions": { "KHR_lights_punctual": { "light": 0 } } });
+    document["nodes"].as_array_mut().unwrap().push(lamp);
+    std::fs::write(&source, document.to_string()).unwrap();
+    let model = read_gltf(source, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
+    let mut backend = CpuBackend::new(model.scene().unwrap());
+    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
+    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
+    let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
+    let bounces = Bounces { quality, tolerance: 0.0, most: 0 };
+    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+    let mut seen = [0; 2];
+    let look = |point: &SurfacePoint, e: [f32; 3], _: bool| {
+        let ([x, ..], floor) = (point.position, point.triangle < 2);
+        if floor && (x - 0.5).abs() > 0.05 {
+            let expected = if x < 0.5 { 0.0 } else { 4.0 };
+            assert!((e[0] - expected).abs() < 1e-3, "{e:?} at {x}");
+            seen[usize::from(x > 0.5)] += 1;
+        }
+    };
+    solved.solution.each(&texels, look).unwrap();
+    assert!(seen.iter().all(|count| *count > 50), "{seen:?}");
 }
 
 #[test]

@@ -97,9 +97,14 @@ impl Placement {
         Self { set, image_from_uv, wrap: [sampler.wrap_s(), sampler.wrap_t()] }
     }
 
+    /// Where coordinates of its set are in the image, whose sides are 1 each.
+    pub fn place(&self, uv: Vec2) -> Vec2 {
+        self.image_from_uv.transform_point2(uv)
+    }
+
     /// The pixel of an image of this size at coordinates of its set.
     pub fn pixel(&self, uv: Vec2, [width, height]: [usize; 2]) -> [usize; 2] {
-        let place = (self.image_from_uv.transform_point2(uv) * Vec2::new(width as f32, height as f32)).floor();
+        let place = (self.place(uv) * Vec2::new(width as f32, height as f32)).floor();
         [wrapped(place.x, width, self.wrap[0]), wrapped(place.y, height, self.wrap[1])]
     }
 }
@@ -120,8 +125,8 @@ impl Texture {
     /// The mean over the footprint: images are finer than lightmaps, and what emits must not hang on where
     /// a few points fall.
     fn over(&self, footprint: &Footprint, corners: [Vec2; 3], image: &Image) -> Vec3 {
-        let Placement { image_from_uv, wrap, .. } = &self.placement;
-        let [a, b, c] = corners.map(|uv| image_from_uv.transform_point2(uv));
+        let wrap = &self.placement.wrap;
+        let [a, b, c] = corners.map(|uv| self.placement.place(uv));
         let pixels = |barycentric: Vec2| ((b - a) * barycentric.x + (c - a) * barycentric.y) * image.size();
         let widths = footprint.sides.map(|side| pixels(side).length());
         let level = (widths[0].max(widths[1]) / SAMPLES).log2().ceil().clamp(0.0, image.coarse.len() as f32);

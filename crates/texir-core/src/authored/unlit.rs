@@ -85,7 +85,8 @@ fn suspects(
     solution: &BakedTexels,
     dark: f32,
 ) -> Result<(Vec<Suspect>, Vec<Looked>)> {
-    let double: Vec<bool> = model.parts.iter().map(|part| model.is_double_sided(part) && !part.is_pane).collect();
+    let double: Vec<bool> =
+        model.parts.iter().map(|part| model.is_double_sided(part) && !part.is_transparent()).collect();
     let (mut points, mut looked) = (Vec::new(), vec![Looked::default(); double.len()]);
     if !double.contains(&true) {
         return Ok((points, looked));

@@ -73,9 +73,9 @@ pub fn tbl(scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<()> {
     }
     let is_solid = scene.is_solid();
     match lights.triangles.iter().find(|light| !is_solid[light.triangle as usize]) {
-        Some(pane) => Err(Error::invalid(format!(
-            "triangle {} is among the lights, but a pane of the scene, which no ray meets; expected lights of solid triangles",
-            pane.triangle
+        Some(light) => Err(Error::invalid(format!(
+            "triangle {} is among the lights, but transparent, so that no ray meets it; expected lights of opaque triangles",
+            light.triangle
         ))),
         None => Ok(()),
     }

@@ -171,6 +171,7 @@ pub(crate) fn identity_with(
     let vectors: [&[u8]; 2] = [cast_slice(&mesh.positions), cast_slice(&mesh.normals)];
     let (uvs, texels): (&[u8], &[u8]) = (cast_slice(&mesh.uvs), cast_slice(&radiance.data));
     (vectors, uvs, &mesh.triangles, traced, radiance.size(), texels).hash(&mut hasher);
+    backend.scene().micromaps().hash(&mut hasher);
     (backend.name(), size, quality, more).hash(&mut hasher);
     format!("texir {}\nbake {:016x}\n", env!("CARGO_PKG_VERSION"), hasher.finish())
 }

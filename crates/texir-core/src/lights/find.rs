@@ -14,8 +14,8 @@ const CHOSEN: usize = 1 << 20;
 
 impl Lights {
     /// The triangles with more than three times the scene's mean luminance in `radiance`, with cluster tables learned
-    /// by shadow rays. Panes are none, whatever radiance they have: no ray meets them. Errors unless `atlas` has the
-    /// size of `radiance` and is one of the scene's mesh.
+    /// by shadow rays. What is transparent is none, whatever radiance it has: no ray meets it. Errors unless `atlas`
+    /// has the size of `radiance` and is one of the scene's mesh.
     pub fn find(scene: &Scene, atlas: &Atlas, radiance: &Rgb) -> Result<Self> {
         let (own, others) = ([atlas.width, atlas.height], radiance.size());
         if own != others || radiance.data.len() != radiance.width * radiance.height {

@@ -1,14 +1,16 @@
 //! The mesh with its acceleration structure: what every tracing pass runs on.
 
 mod hierarchy;
+mod micromap;
 pub mod trace;
 mod wide;
 
 use std::fmt;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 pub use hierarchy::MAX_LEVELS;
+pub use micromap::{Micromap, TriangleOpacity};
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 
@@ -35,6 +37,7 @@ const VERTEX: u64 = 32;
 pub struct Scene {
     mesh: Mesh,
     bvh: CwBvh,
+    micromaps: Arc<[(u32, Micromap)]>,
     /// What rays on the host go through: made when the first one does.
     wide: OnceLock<WideBvh>,
 }
@@ -71,35 +74,40 @@ impl Scene {
     /// are not finite or exceed 1e9 m. A mesh that is merely far from the origin is accepted, though its light will be
     /// inaccurate: see [`Mesh::misplaced`].
     pub fn new(mesh: Mesh) -> Result<Self> {
-        Self::with_panes(mesh, |_| false)
+        Self::with_opacity(mesh, |_| TriangleOpacity::Opaque)
     }
 
-    /// [`Scene::new`], where no ray meets the triangles that are panes: they have places in the atlas and take light as
-    /// all others do, and let all of it through. Errors also where there are no others.
-    pub fn with_panes(mesh: Mesh, is_pane: impl Fn(u32) -> bool) -> Result<Self> {
+    /// [`Scene::new`], where rays go through what is transparent: such triangles, or parts of them, have places in the
+    /// atlas and take light as all others do, and let all of it through. `opacity` is asked once for each triangle of
+    /// the mesh. Errors also where all are transparent.
+    pub fn with_opacity(mesh: Mesh, opacity: impl Fn(u32) -> TriangleOpacity) -> Result<Self> {
         Self::check(&mesh)?;
-        let all = 0..mesh.triangles.len() as u32;
-        let solid: Vec<Triangle> = all
-            .clone()
-            .filter(|t| !is_pane(*t))
-            .map(|t| {
-                let [a, b, c] = mesh.corners(t);
-                Triangle { v0: a.into(), v1: b.into(), v2: c.into() }
-            })
-            .collect();
+        // Of each transparent triangle: how many others precede it.
+        let (mut solid, mut preceding, mut micromaps) = (Vec::new(), Vec::new(), Vec::new());
+        for triangle in 0..mesh.triangles.len() as u32 {
+            match opacity(triangle) {
+                TriangleOpacity::Opaque => {}
+                TriangleOpacity::Micromap(micromap) => micromaps.push((triangle, micromap)),
+                TriangleOpacity::Transparent => {
+                    preceding.push(solid.len() as u32);
+                    continue;
+                }
+            }
+            let [a, b, c] = mesh.corners(triangle);
+            solid.push(Triangle { v0: a.into(), v1: b.into(), v2: c.into() });
+        }
         if solid.is_empty() {
             return Err(Error::invalid(
                 "all triangles of the mesh let light through; expected some that light falls on",
             ));
         }
         let mut bvh = hierarchy::build(solid);
-        // From the place among solid triangles to that among all. Of each pane: how many solid ones precede it.
-        let preceding: Vec<u32> = all.filter(|t| is_pane(*t)).enumerate().map(|(k, t)| t - k as u32).collect();
         if !preceding.is_empty() {
-            let panes_before = |solid: u32| preceding.partition_point(|count| *count <= solid) as u32;
-            bvh.primitive_indices.iter_mut().for_each(|index| *index += panes_before(*index));
+            // From the place among those that rays meet to that among all.
+            let skipped = |solid: u32| preceding.partition_point(|count| *count <= solid) as u32;
+            bvh.primitive_indices.iter_mut().for_each(|index| *index += skipped(*index));
         }
-        Ok(Self { mesh, bvh, wide: OnceLock::new() })
+        Ok(Self { mesh, bvh, micromaps: micromaps.into(), wide: OnceLock::new() })
     }
 
     /// The mesh, in world space.
@@ -113,12 +121,17 @@ impl Scene {
         bytemuck::cast_slice(&self.bvh.nodes)
     }
 
-    /// The triangle of the mesh that each primitive of the hierarchy is, or is a part of. Panes are none.
+    /// The triangle of the mesh that each primitive of the hierarchy is, or is a part of. Transparent ones are none.
     pub fn primitives(&self) -> &[u32] {
         &self.bvh.primitive_indices
     }
 
-    /// Whether rays meet each triangle of the mesh: panes they do not.
+    /// The triangles that rays meet in parts, in ascending order.
+    pub fn micromaps(&self) -> &[(u32, Micromap)] {
+        &self.micromaps
+    }
+
+    /// Whether rays meet each triangle of the mesh, or a part of it.
     pub fn is_solid(&self) -> Vec<bool> {
         let mut is_solid = vec![false; self.mesh.triangles.len()];
         self.primitives().iter().for_each(|&triangle| is_solid[triangle as usize] = true);
@@ -126,10 +139,10 @@ impl Scene {
     }
 
     fn wide(&self) -> &WideBvh {
-        self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh))
+        self.wide.get_or_init(|| WideBvh::new(&self.bvh, &self.mesh, self.micromaps.clone()))
     }
 
-    /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured.
+    /// Bytes that [`Scene::new`] takes at most, the mesh included, as measured; micromaps come on top.
     pub fn memory(mesh: &Mesh) -> u64 {
         mesh.triangles.len() as u64 * TRIANGLE + mesh.positions.len() as u64 * VERTEX
     }
@@ -154,6 +167,8 @@ mod tests {
     use glam::Vec2;
 
     use super::*;
+    use crate::rng::hash2;
+    use trace::BruteForce;
 
     #[test]
     fn rays_go_through_panes_and_name_what_they_meet_behind_them() {
@@ -166,7 +181,10 @@ mod tests {
             triangles: (0..6).flat_map(|s| [[0, 1, 2], [0, 2, 3]].map(|t| t.map(|k| 4 * s + k))).collect(),
         };
         let met = |panes: &[u32], height: f32| {
-            let scene = Scene::with_panes(mesh.clone(), |t| panes.contains(&(t / 2))).unwrap();
+            let opacity = |t: u32| {
+                if panes.contains(&(t / 2)) { TriangleOpacity::Transparent } else { TriangleOpacity::Opaque }
+            };
+            let scene = Scene::with_opacity(mesh.clone(), opacity).unwrap();
             let [origin, down] = [[0.75, 0.5, height], [0.0, 0.0, -1.0]].map(V3::of);
             scene.closest(origin, down).map(|hit| (hit.triangle, hit.t))
         };
@@ -175,8 +193,72 @@ mod tests {
         assert_eq!(met(&[0, 1, 3, 5], 5.5), Some((8, 1.5)));
         assert_eq!(met(&[0, 1, 3, 5], 3.5), Some((4, 1.5)));
         assert_eq!(met(&[0, 1, 3, 5], 1.5), None);
-        let none = Scene::with_panes(mesh.clone(), |_| true).map(drop).unwrap_err().to_string();
+        let none =
+            Scene::with_opacity(mesh.clone(), |_| TriangleOpacity::Transparent).map(drop).unwrap_err().to_string();
         assert!(none.contains("let light through"), "{none}");
+    }
+
+    #[test]
+    fn rays_meet_the_parts_of_triangles_that_are_there() {
+        // Random triangles, every third of them whole, every third in parts and every third as these parts one by one.
+        let unit = |i: u32, k: u32| hash2(i, k) as f32 / u32::MAX as f32;
+        let corners = |i: u32| {
+            let corner = |k: u32| Vec3::new(unit(i, k), unit(i, k + 1), unit(i, k + 2));
+            [corner(0), corner(3), corner(6)]
+        };
+        let side = |i: u32| 1 + i % 9;
+        let is_there = |i: u32, k: usize| hash2(i, 100 + k as u32).is_multiple_of(2);
+        let (mut mesh, mut cut) = (Mesh::default(), Mesh::default());
+        let add = |mesh: &mut Mesh, corners: [Vec3; 3]| {
+            let first = mesh.positions.len() as u32;
+            mesh.positions.extend(corners);
+            mesh.normals.extend([Vec3::Z; 3]);
+            mesh.uvs.extend([Vec2::ZERO; 3]);
+            mesh.triangles.push([first, first + 1, first + 2]);
+        };
+        for i in 0..60 {
+            let whole @ [a, b, c] = corners(i);
+            add(&mut mesh, whole);
+            if i.is_multiple_of(3) {
+                add(&mut cut, whole);
+                continue;
+            }
+            for (_, part) in micromap::parts(side(i)).enumerate().filter(|(k, _)| is_there(i, *k)) {
+                add(&mut cut, micromap::corners(side(i), part).map(|[u, v]| a + (b - a) * u + (c - a) * v));
+            }
+        }
+        let opacity = |i: u32| {
+            let next = std::cell::Cell::new(0);
+            let coverage = |_| f32::from(is_there(i, next.replace(next.get() + 1)));
+            if i.is_multiple_of(3) {
+                TriangleOpacity::Opaque
+            } else {
+                TriangleOpacity::from_coverage(side(i), 0, coverage)
+            }
+        };
+        let scene = Scene::with_opacity(mesh.clone(), opacity).unwrap();
+        assert!(scene.micromaps().len() > 30);
+        let (exact, without_holes) = (BruteForce(&cut), BruteForce(&mesh));
+        let (mut hits, mut misses, mut edges, mut other) = (0, 0, 0, 0);
+        for i in 0..20_000 {
+            let origin = V3([unit(i, 200), unit(i, 201), unit(i, 202)]);
+            let direction = Vec3::new(unit(i, 203), unit(i, 204), unit(i, 205)) - 0.5;
+            let direction = V3(direction.normalize().to_array());
+            let found = scene.closest(origin, direction).map(|hit| hit.t);
+            let expected = Trace::<f32>::closest(&exact, origin, direction).map(|hit| hit.t);
+            let same = |a: Option<f32>, b: Option<f32>| match (a, b) {
+                (Some(a), Some(b)) => (a - b).abs() < 1e-4,
+                (a, b) => a.is_none() && b.is_none(),
+            };
+            *(if found.is_some() { &mut hits } else { &mut misses }) += 1;
+            edges += u32::from(!same(found, expected));
+            other += u32::from(!same(found, Trace::<f32>::closest(&without_holes, origin, direction).map(|hit| hit.t)));
+            for (length, blocked) in found.into_iter().flat_map(|t| [(t * 1.001, true), (t * 0.999, false)]) {
+                assert_eq!(scene.is_blocked(origin, direction, length), blocked, "ray {i}");
+            }
+        }
+        assert!(edges < 10, "{edges} of 20,000 rays differ, more than go by an edge");
+        assert!(hits > 5000 && misses > 1000 && other > 2000, "{hits} hits, {misses} misses, {other} by holes");
     }
 
     #[test]

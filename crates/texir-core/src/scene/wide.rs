@@ -5,6 +5,7 @@
 //! it.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use arrayvec::ArrayVec;
 use glam::Vec3A;
@@ -12,6 +13,7 @@ use obvhs::aabb::Aabb;
 use obvhs::cwbvh::CwBvh;
 
 use super::hierarchy::MAX_LEVELS;
+use super::micromap::Micromap;
 use super::trace::{BACK_FACE_BIAS, TraceHit, intersect};
 use crate::mesh::Mesh;
 use crate::real::V3;
@@ -34,6 +36,8 @@ pub struct WideBvh {
     nodes: Vec<Node>,
     /// In the order of the leaves.
     primitives: Vec<Primitive>,
+    /// What rays meet of triangles that they meet in parts.
+    micromaps: Arc<[(u32, Micromap)]>,
 }
 
 /// Eight boxes, and what is in each.
@@ -56,8 +60,12 @@ struct Primitive {
     corner: [f32; 3],
     /// From it to the second and to the third.
     edges: [[f32; 3]; 2],
-    /// Index in the mesh.
+    /// Index in the mesh; or, with the flag [`Primitive::IN_PARTS`], in [`WideBvh::micromaps`].
     triangle: u32,
+}
+
+impl Primitive {
+    const IN_PARTS: u32 = 1 << 31;
 }
 
 /// A ray as boxes see it.
@@ -117,14 +125,16 @@ impl Ray {
 }
 
 impl WideBvh {
-    /// Unpacks a hierarchy over the triangles of a mesh.
-    pub fn new(bvh: &CwBvh, mesh: &Mesh) -> Self {
+    /// Unpacks a hierarchy over the triangles of a mesh, of which rays meet some in parts: by triangle, ascending.
+    pub fn new(bvh: &CwBvh, mesh: &Mesh, micromaps: Arc<[(u32, Micromap)]>) -> Self {
         let primitive = |&triangle: &u32| {
             let [a, b, c] = mesh.corners(triangle);
+            let in_parts = micromaps.binary_search_by_key(&triangle, |(triangle, _)| *triangle);
+            let triangle = in_parts.map_or(triangle, |index| Primitive::IN_PARTS | index as u32);
             Primitive { corner: a.to_array(), edges: [(b - a).to_array(), (c - a).to_array()], triangle }
         };
         let primitives = bvh.primitive_indices.iter().map(primitive).collect();
-        let mut wide = Self { nodes: vec![Node::EMPTY; bvh.nodes.len()], primitives };
+        let mut wide = Self { nodes: vec![Node::EMPTY; bvh.nodes.len()], primitives, micromaps };
         wide.unpack(bvh, mesh, 0);
         wide
     }
@@ -138,7 +148,7 @@ impl WideBvh {
         for k in (0..WIDTH).filter(|&k| !packed.is_child_empty(k)) {
             let (child, held) = if packed.is_leaf(k) {
                 let leaf = Child::leaf(packed.child_primitives(k));
-                let corners = self.primitives[leaf.primitives()].iter().flat_map(|p| mesh.corners(p.triangle));
+                let corners = bvh.primitive_indices[leaf.primitives()].iter().flat_map(|&t| mesh.corners(t));
                 (leaf, corners.fold(Aabb::INVALID, |held, corner| held.union(&Aabb::from_point(corner.into()))))
             } else {
                 let below = packed.child_node_index(k);
@@ -216,7 +226,8 @@ impl WideBvh {
                 for primitive in &self.primitives[child.primitives()] {
                     let edges = primitive.edges.map(V3);
                     let hit = intersect(primitive.triangle, V3(primitive.corner), edges, origin, direction);
-                    if let Some(hit) = hit.filter(|hit| hit.t < t_max && counted(hit.t, hit.back, size) < reach) {
+                    let nearest = hit.filter(|hit| hit.t < t_max && counted(hit.t, hit.back, size) < reach);
+                    if let Some(hit) = nearest.and_then(|hit| self.met(hit)) {
                         (best, reach) = (Some(hit), counted(hit.t, hit.back, size));
                         if ANY {
                             return best;
@@ -232,6 +243,16 @@ impl WideBvh {
                 }
             }
         }
+    }
+
+    /// A hit of a [`Primitive::triangle`] as one of the mesh; `None` where there is a hole.
+    #[inline(always)]
+    fn met(&self, hit: TraceHit<f32>) -> Option<TraceHit<f32>> {
+        if hit.triangle & Primitive::IN_PARTS == 0 {
+            return Some(hit);
+        }
+        let (triangle, micromap) = &self.micromaps[(hit.triangle & !Primitive::IN_PARTS) as usize];
+        micromap.is_opaque(hit.u, hit.v).then_some(TraceHit { triangle: *triangle, ..hit })
     }
 }
 
@@ -365,7 +386,7 @@ mod tests {
     fn every_node_test_finds_what_an_exhaustive_search_finds() {
         let scene = scene();
         let exact = BruteForce(scene.mesh());
-        let wide = WideBvh::new(&scene.bvh, scene.mesh());
+        let wide = WideBvh::new(&scene.bvh, scene.mesh(), scene.micromaps.clone());
         let mut hits = 0;
         for (origin, direction) in rays() {
             let expected = Trace::<f32>::closest(&exact, origin, direction);
@@ -438,7 +459,7 @@ mod tests {
     #[test]
     fn rays_that_are_not_numbers_are_not_traced() {
         let scene = scene();
-        let wide = WideBvh::new(&scene.bvh, scene.mesh());
+        let wide = WideBvh::new(&scene.bvh, scene.mesh(), scene.micromaps.clone());
         let (numbers, nan) = (V3([0.5, 0.5, 0.5]), f32::NAN);
         let traced = |_: &Node, ray: &Ray, _: f32| panic!("from {:?} along 1 over {:?}", ray.origin, ray.inverse);
         for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([f32::INFINITY, 0.5, 0.5])] {

@@ -2,7 +2,8 @@
 
 use super::*;
 
-const VARIANT: Variant = Variant { hierarchy: BvhStorage::Buffers, roughness: RoughnessGradient::Exact };
+const VARIANT: Variant =
+    Variant { hierarchy: BvhStorage::Buffers, micromaps: false, roughness: RoughnessGradient::Exact };
 
 fn message(sources: &[(&str, &str)]) -> String {
     match Library(sources).compose("pass", VARIANT) {
@@ -66,10 +67,11 @@ fn every_shader_on_disk_is_embedded() {
 
 #[test]
 fn variants_change_the_source() {
-    let source = |hierarchy, roughness| SHADERS.compose("shade", Variant { hierarchy, roughness }).unwrap().source;
-    let base = source(BvhStorage::Buffers, RoughnessGradient::Exact);
-    assert_ne!(base, source(BvhStorage::Textures, RoughnessGradient::Exact));
-    assert_ne!(base, source(BvhStorage::Buffers, RoughnessGradient::Authors));
+    let source = |variant| SHADERS.compose("shade", variant).unwrap().source;
+    let base = source(VARIANT);
+    assert_ne!(base, source(Variant { hierarchy: BvhStorage::Textures, ..VARIANT }));
+    assert_ne!(base, source(Variant { micromaps: true, ..VARIANT }));
+    assert_ne!(base, source(Variant { roughness: RoughnessGradient::Authors, ..VARIANT }));
 }
 
 #[test]
