@@ -40,4 +40,6 @@ pub const SOURCES: &[(&str, &str)] = sources![
     "shared/roughness_exact",
     "shared/sampling",
     "shared/shading",
+    "shared/shadow_sharp",
+    "shared/shadow_translucent",
 ];

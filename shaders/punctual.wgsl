@@ -2,9 +2,9 @@
 //
 // One thread per point; no barriers. Reads 48 and writes 16 bytes per point.
 
-#import bvh
 #import hit
 #import math
+#import shadow
 
 struct PunctualLight {
     position: vec3f,
@@ -57,6 +57,6 @@ fn punctual(
     let cosine = dot(point.normal, direction);
     // A negative limit makes the traversal end at once where no light could arrive.
     let faces = cosine > 0.0 && falloff > 0.0;
-    let clear = !is_blocked(point.position, direction, select(-1.0, reach, faces)) && faces;
-    irradiance[i] += vec4f(select(vec3f(0.0), light.intensity * (falloff * cosine), clear), 0.0);
+    let share = transmittance(point.position, direction, select(-1.0, reach, faces));
+    irradiance[i] += vec4f(select(vec3f(0.0), light.intensity * (falloff * cosine * share), faces), 0.0);
 }

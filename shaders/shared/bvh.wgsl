@@ -106,8 +106,9 @@ fn is_finite(v: vec3f) -> bool {
     return all((bitcast<vec3u>(v) & vec3u(0x7f800000u)) != vec3u(0x7f800000u));
 }
 
-// The closest hit with 0 < t < t_max of what is there of a triangle, or with `any_hit`, a constant, the first that is found.
-fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersection {
+// The closest hit with t_min < t < t_max of what is there of a triangle, or with `any_hit` the first that is found.
+// `any_hit` and `evenly` (see is_met) are constants.
+fn trace(origin: vec3f, direction: vec3f, t_min: f32, t_max: f32, any_hit: bool, evenly: bool) -> Intersection {
     let ray = traversal_ray(origin, direction);
     let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
     var best = Intersection(MISS, 0.0, 0.0, t_max);
@@ -157,8 +158,8 @@ fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersec
             let v = dot(direction, q) * inverse;
             let t = dot(e2, q) * inverse;
             let counted = t + select(0.0, BACK_FACE_BIAS * (t + size), determinant < 0.0);
-            let nearer = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < t_max && counted < reach;
-            if determinant != 0.0 && nearer && is_met(corner.w, u, v) {
+            let nearer = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > t_min && t < t_max && counted < reach;
+            if determinant != 0.0 && nearer && is_met(corner.w, u, v, evenly) {
                 best = Intersection(primitive, u, v, t);
                 reach = counted;
             }
@@ -173,12 +174,12 @@ fn trace(origin: vec3f, direction: vec3f, t_max: f32, any_hit: bool) -> Intersec
 // The closest hit with 0 < t < t_max along the unit direction, either side of a triangle (Möller and Trumbore 1997);
 // backs count as BACK_FACE_BIAS further.
 fn closest_hit(origin: vec3f, direction: vec3f, t_max: f32) -> Intersection {
-    return trace(origin, direction, t_max, false);
+    return trace(origin, direction, 0.0, t_max, false, false);
 }
 
 // Whether anything is hit with 0 < t < t_max along the unit direction, either side of a triangle.
 fn is_blocked(origin: vec3f, direction: vec3f, t_max: f32) -> bool {
-    return trace(origin, direction, t_max, true).primitive != MISS;
+    return trace(origin, direction, 0.0, t_max, true, false).primitive != MISS;
 }
 
 // Normal of a primitive, on the side from which its corners run counter-clockwise; its length is twice the area.

@@ -9,10 +9,10 @@ use texir_core::cpu::CpuBackend;
 use texir_core::cpu::punctual::punctual;
 use texir_core::progress::Silent;
 use texir_core::punctual::PunctualLight;
-use texir_core::scene::Scene;
 use texir_core::scene::trace::BruteForce;
+use texir_core::scene::{Scene, TriangleOpacity};
 use texir_core::surface::{Hit, SurfacePoint};
-use texir_gpu::GpuBackend;
+use texir_gpu::{BvhStorage, GpuBackend};
 use texir_tests::compare::{Tolerance, lanes3};
 use texir_tests::{gpu, scenes};
 
@@ -121,6 +121,35 @@ fn shadows_and_sums_are_those_of_the_twin() {
     ROUNDING.check("CPU", &lanes3(&got), &expected);
     // Negative control: a light that is missing is noticed.
     assert!(ROUNDING.failures(&lanes3(&got), &twin(&lights[1..])).len() > points.len());
+}
+
+#[test]
+fn translucent_sheets_take_their_share() {
+    const OPACITY: f64 = 0.25;
+    let mesh = scene().mesh().clone();
+    let points = points(&scene());
+    // All but the ground is equally translucent, and rays that meet the box go in and out of it.
+    let box_of = |opacity: f32| {
+        let of_triangle = |triangle: u32| match triangle {
+            0 | 1 => TriangleOpacity::Opaque,
+            _ => TriangleOpacity::from_coverage(40, triangle, |_| opacity),
+        };
+        Arc::new(Scene::with_opacity(mesh.clone(), of_triangle).unwrap())
+    };
+    let light = lights().remove(3).0;
+    let e = |backend: &mut dyn Backend| lanes3(&backend.punctual(&points, &[light], &Silent).unwrap());
+    let [open, blocked, through] = [0.0, 1.0, OPACITY as f32].map(box_of);
+    let (open, blocked) = (e(&mut CpuBackend::new(open)), e(&mut CpuBackend::new(blocked)));
+    let share = |lane: usize| if blocked[lane] == 0.0 { (1.0 - OPACITY).powi(2) } else { 1.0 };
+    let expected: Vec<f64> = (0..open.len()).map(|lane| open[lane] * share(lane)).collect();
+    assert!(expected.iter().zip(&open).filter(|(e, open)| e < open).count() > 100);
+    ROUNDING.check("CPU", &e(&mut CpuBackend::new(through.clone())), &expected);
+    for place in [BvhStorage::Buffers, BvhStorage::Textures] {
+        let mut backend = GpuBackend::with_bvh_storage(&gpu(), through.clone(), place).unwrap();
+        ROUNDING.check(&format!("WGSL, {place:?}"), &e(&mut backend), &expected);
+    }
+    // Negative control: sheets that take nothing, or all.
+    assert!(ROUNDING.failures(&open, &expected).len() > 100 && ROUNDING.failures(&blocked, &expected).len() > 100);
 }
 
 #[test]

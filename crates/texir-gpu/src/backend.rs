@@ -29,7 +29,7 @@ use crate::pass::{
     denoise, group_loss, irradiance, lookup, primary, project, punctual, radiance_loss, shade, shade_vjp,
     specular_table, texels,
 };
-use crate::scene::{BvhStorage, EnvironmentMap, Geometry, Lighting};
+use crate::scene::{BvhStorage, EnvironmentMap, Geometry, Lighting, SceneOpacity};
 
 /// The passes in WGSL, for one scene.
 pub struct GpuBackend {
@@ -72,7 +72,7 @@ impl GpuBackend {
     pub fn with_bvh_storage(gpu: &Gpu, scene: impl Into<Arc<Scene>>, hierarchy: BvhStorage) -> Result<Self> {
         let scene = scene.into();
         let geometry = gpu.with_error_scopes("uploading the scene", || Geometry::new(gpu, &scene, hierarchy))?;
-        let context = Context::new(gpu.clone(), hierarchy, !scene.micromaps().is_empty());
+        let context = Context::new(gpu.clone(), hierarchy, SceneOpacity::of(&scene));
         let (cache, groups) = Default::default();
         Ok(Self { scene, context, geometry, lighting: None, shape: None, cache, groups })
     }

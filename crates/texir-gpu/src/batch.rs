@@ -15,7 +15,7 @@ use crate::buffer::{Pool, View, uniform};
 use crate::gpu::Gpu;
 use crate::kernel::{Kernel, KernelKey};
 use crate::pass::WORKGROUP;
-use crate::scene::BvhStorage;
+use crate::scene::{BvhStorage, SceneOpacity};
 use crate::wgsl::Variant;
 
 /// How long a dispatch should take where nobody says otherwise.
@@ -117,16 +117,16 @@ pub(crate) struct Context {
     pub gpu: Gpu,
     pub pool: Pool,
     hierarchy: BvhStorage,
-    micromaps: bool,
+    opacity: SceneOpacity,
     budgets: HashMap<KernelKey, DispatchBudget>,
     /// How long a dispatch should take.
     target: Duration,
 }
 
 impl Context {
-    /// Of a scene that lies there, and has micromaps or none.
-    pub fn new(gpu: Gpu, hierarchy: BvhStorage, micromaps: bool) -> Self {
-        Self { gpu, hierarchy, micromaps, pool: Pool::default(), budgets: HashMap::new(), target: USUAL_TIME }
+    /// Of a scene that lies there, and of which rays meet this.
+    pub fn new(gpu: Gpu, hierarchy: BvhStorage, opacity: SceneOpacity) -> Self {
+        Self { gpu, hierarchy, opacity, pool: Pool::default(), budgets: HashMap::new(), target: USUAL_TIME }
     }
 
     /// Sets how long a dispatch should take.
@@ -159,7 +159,7 @@ impl Context {
         constant: Option<(&'static str, u32)>,
         roughness: RoughnessGradient,
     ) -> Result<Arc<Kernel>> {
-        let variant = Variant { hierarchy: self.hierarchy, micromaps: self.micromaps, roughness };
+        let variant = Variant { hierarchy: self.hierarchy, opacity: self.opacity, roughness };
         self.gpu.kernel(KernelKey { shader, entry, variant, constant })
     }
 

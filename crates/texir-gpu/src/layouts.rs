@@ -30,7 +30,7 @@ use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::pass::{WORKGROUP, specular_table};
-use crate::scene::{BvhStorage, IN_PARTS, LightGrid, LightPrimitive, TEXTURE_COLUMNS};
+use crate::scene::{BvhStorage, IN_PARTS, LightGrid, LightPrimitive, SceneOpacity, TEXTURE_COLUMNS};
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -51,7 +51,8 @@ macro_rules! host {
 
 /// The declaration of `name` in the composed shader.
 fn wgsl(shader: &str, name: &str) -> Layout {
-    let variant = Variant { hierarchy: BvhStorage::Buffers, micromaps: false, roughness: RoughnessGradient::Exact };
+    let variant =
+        Variant { hierarchy: BvhStorage::Buffers, opacity: SceneOpacity::Opaque, roughness: RoughnessGradient::Exact };
     let module = SHADERS.compose(shader, variant).unwrap().module;
     let (_, ty) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
@@ -269,7 +270,11 @@ fn constant(module: &naga::Module, name: &str) -> Option<f64> {
 
 #[test]
 fn constants_that_both_have_are_the_same() {
-    let variant = Variant { hierarchy: BvhStorage::Textures, micromaps: true, roughness: RoughnessGradient::Exact };
+    let variant = Variant {
+        hierarchy: BvhStorage::Textures,
+        opacity: SceneOpacity::InParts,
+        roughness: RoughnessGradient::Exact,
+    };
     for (shader, name, host) in constants() {
         let module = SHADERS.compose(shader, variant).unwrap().module;
         assert_eq!(constant(&module, name).map(|value| value as f32), Some(host as f32), "{name} of {shader}.wgsl");

@@ -38,6 +38,31 @@ impl BvhStorage {
     }
 }
 
+/// What rays meet of a scene's triangles: kernels are compiled for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum SceneOpacity {
+    /// All of all.
+    Opaque,
+    /// Of some triangles parts.
+    InParts,
+    /// Likewise, and some let the same share of light through all over.
+    Translucent,
+}
+
+impl SceneOpacity {
+    #[cfg(test)]
+    pub const ALL: [Self; 3] = [Self::Opaque, Self::InParts, Self::Translucent];
+
+    /// Of a scene.
+    pub fn of(scene: &Scene) -> Self {
+        match scene.micromaps() {
+            [] => Self::Opaque,
+            all if all.iter().any(|(_, micromap)| micromap.even_opacity().is_some()) => Self::Translucent,
+            _ => Self::InParts,
+        }
+    }
+}
+
 /// An array for the shader.
 enum DeviceArray {
     Buffer(View),
@@ -123,7 +148,7 @@ fn micromap_words(scene: &Scene, first: usize) -> (Vec<[u32; 4]>, Vec<u32>) {
     let (mut words, mut begins) = (Vec::new(), Vec::new());
     for (triangle, micromap) in scene.micromaps() {
         begins.push((first + words.len()) as u32);
-        words.push([*triangle, micromap.side(), 0, 0]);
+        words.push([*triangle, micromap.side(), micromap.even_opacity().unwrap_or(0.0).to_bits(), 0]);
         words.extend(micromap.words().chunks(4).map(|bits| {
             let mut word = [0; 4];
             word[..bits.len()].copy_from_slice(bits);

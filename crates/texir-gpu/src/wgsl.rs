@@ -10,7 +10,7 @@ use std::path::Path;
 use texir_core::backend::RoughnessGradient;
 use texir_core::error::{Error, Result};
 
-use crate::scene::BvhStorage;
+use crate::scene::{BvhStorage, SceneOpacity};
 
 /// Sources by name, as files on disk are: `shade`, or `shared/bvh`.
 #[derive(Clone, Copy)]
@@ -24,8 +24,8 @@ pub const SHADERS: Library<'static> = Library(texir_shaders::SOURCES);
 pub struct Variant {
     /// `fetch`: where the hierarchy lies.
     pub hierarchy: BvhStorage,
-    /// `opacity`: whether rays meet triangles in parts.
-    pub micromaps: bool,
+    /// `opacity` and `shadow`: what rays meet of triangles.
+    pub opacity: SceneOpacity,
     /// `roughness`: which derivative with respect to roughness shading returns.
     pub roughness: RoughnessGradient,
 }
@@ -35,10 +35,10 @@ impl Variant {
     #[cfg(test)]
     pub fn all() -> impl Iterator<Item = Self> {
         [BvhStorage::Buffers, BvhStorage::Textures].into_iter().flat_map(|hierarchy| {
-            [false, true].into_iter().flat_map(move |micromaps| {
+            SceneOpacity::ALL.into_iter().flat_map(move |opacity| {
                 [RoughnessGradient::Exact, RoughnessGradient::Authors].map(|roughness| Self {
                     hierarchy,
-                    micromaps,
+                    opacity,
                     roughness,
                 })
             })
@@ -52,9 +52,13 @@ impl Variant {
                 BvhStorage::Textures => "fetch_texture",
                 BvhStorage::Buffers => "fetch_buffer",
             },
-            "opacity" => match self.micromaps {
-                true => "micromaps",
-                false => "opaque",
+            "opacity" => match self.opacity {
+                SceneOpacity::Opaque => "opaque",
+                SceneOpacity::InParts | SceneOpacity::Translucent => "micromaps",
+            },
+            "shadow" => match self.opacity {
+                SceneOpacity::Opaque | SceneOpacity::InParts => "shadow_sharp",
+                SceneOpacity::Translucent => "shadow_translucent",
             },
             "roughness" => match self.roughness {
                 RoughnessGradient::Exact => "roughness_exact",
@@ -162,9 +166,8 @@ fn chain(error: &dyn std::error::Error) -> String {
 
 fn dump(name: &str, variant: Variant, source: &str) -> Result<()> {
     let Some(folder) = std::env::var_os("TEXIR_DUMP_WGSL") else { return Ok(()) };
-    let Variant { hierarchy, micromaps, roughness } = variant;
-    let opacity = if micromaps { "micromaps" } else { "opaque" };
-    let file = Path::new(&folder).join(format!("{name}_{hierarchy:?}_{opacity}_{roughness:?}.wgsl").to_lowercase());
+    let Variant { hierarchy, opacity, roughness } = variant;
+    let file = Path::new(&folder).join(format!("{name}_{hierarchy:?}_{opacity:?}_{roughness:?}.wgsl").to_lowercase());
     std::fs::create_dir_all(&folder)
         .and_then(|()| std::fs::write(&file, source))
         .map_err(|e| Error::file(&file, format!("cannot write the composed shader (TEXIR_DUMP_WGSL): {e}")))

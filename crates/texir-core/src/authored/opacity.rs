@@ -15,7 +15,7 @@ use crate::scene::TriangleOpacity;
 
 /// Parts along an edge of what is equally opaque all over, for every texel of the lightmap along it: their pattern is
 /// not to be seen in the shadow.
-const PARTS_PER_TEXEL: f32 = 8.0;
+const PARTS_PER_TEXEL: f32 = 4.0;
 /// Most parts along an edge, of any triangle.
 const MOST_PARTS: f32 = 512.0;
 /// Most places that a part's opacity is looked up at. At least two, as edges run through parts as wide as a pixel.

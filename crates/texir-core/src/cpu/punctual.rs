@@ -26,9 +26,9 @@ pub fn punctual<R: Real>(tracer: &impl Trace<R>, light: &Coefficients, point: &S
         (direction, distance, window * cone * cone / d2)
     };
     let cosine = V3::of(point.normal).dot(direction);
-    let blocked = || tracer.is_blocked(origin, direction, distance * R::of(CLEAR_SHARE));
-    if !(cosine > zero && falloff > zero) || blocked() {
+    if !(cosine > zero && falloff > zero) {
         return V3::zero();
     }
-    V3::of(light.intensity) * (falloff * cosine)
+    let share = tracer.transmittance(origin, direction, distance * R::of(CLEAR_SHARE));
+    V3::of(light.intensity) * (falloff * cosine * share)
 }

@@ -28,6 +28,8 @@ pub enum TriangleOpacity {
 pub struct Micromap {
     side: u32,
     words: Box<[u32]>,
+    /// The bits of what [`Micromap::even_opacity`] is; 0 for `None`.
+    even: u32,
 }
 
 /// The place of a part of a triangle: its column along the first edge, its row, and whether it is upside down.
@@ -44,17 +46,20 @@ impl TriangleOpacity {
         let side = side.clamp(1, Micromap::MAX_SIDE);
         let count = side * side;
         let mut words = vec![0u32; count.div_ceil(u32::BITS) as usize];
-        let mut set = 0;
+        let (mut set, mut least, mut most) = (0, f32::INFINITY, f32::NEG_INFINITY);
         for (index, part) in parts(side).enumerate() {
-            if coverage(corners(side, part)) > threshold(part, seed) {
+            let covered = coverage(corners(side, part));
+            (least, most) = (least.min(covered), most.max(covered));
+            if covered > threshold(part, seed) {
                 words[index / 32] |= 1 << (index % 32);
                 set += 1;
             }
         }
+        let is_even = least == most && most > 0.0 && most < 1.0;
         match set {
-            0 => Self::Transparent,
-            set if set == count => Self::Opaque,
-            _ => Self::Micromap(Micromap { side, words: words.into() }),
+            0 if !is_even => Self::Transparent,
+            set if set == count && !is_even => Self::Opaque,
+            _ => Self::Micromap(Micromap { side, words: words.into(), even: if is_even { most.to_bits() } else { 0 } }),
         }
     }
 }
@@ -71,6 +76,11 @@ impl Micromap {
     /// A bit for every part, from the least significant bit of the first word.
     pub fn words(&self) -> &[u32] {
         &self.words
+    }
+
+    /// The share of light that the triangle takes, above 0 and below 1, where that is the same all over.
+    pub fn even_opacity(&self) -> Option<f32> {
+        (self.even != 0).then_some(f32::from_bits(self.even))
     }
 
     /// Whether rays meet the part at barycentric coordinates.
@@ -158,10 +168,18 @@ mod tests {
                     panic!("{coverage} is neither all nor nothing");
                 };
                 let set: u32 = map.words().iter().map(|word| word.count_ones()).sum();
-                assert!((set as f32 / 1600.0 - coverage).abs() < 0.01, "{set} of 1600 for {coverage}");
+                assert!((set as f32 / 1600.0 - coverage).abs() < 0.02, "{set} of 1600 for {coverage}");
+                assert_eq!(map.even_opacity(), Some(coverage));
             }
         }
         assert_eq!(TriangleOpacity::from_coverage(40, 7, |_| 1.0), TriangleOpacity::Opaque);
         assert_eq!(TriangleOpacity::from_coverage(40, 7, |_| 0.0), TriangleOpacity::Transparent);
+        // As little as this is in no part, and is still taken from what passes.
+        let TriangleOpacity::Micromap(thin) = TriangleOpacity::from_coverage(1, 7, |_| 1e-3) else {
+            panic!("it is there")
+        };
+        assert_eq!((thin.words(), thin.even_opacity()), (&[0][..], Some(1e-3)));
+        let uneven = TriangleOpacity::from_coverage(40, 7, |[[u, _], ..]| u);
+        assert!(matches!(uneven, TriangleOpacity::Micromap(map) if map.even_opacity().is_none()));
     }
 }

@@ -38,6 +38,8 @@ pub struct Scene {
     mesh: Mesh,
     bvh: CwBvh,
     micromaps: Arc<[(u32, Micromap)]>,
+    /// Whether some of them take the same share of light all over.
+    is_translucent: bool,
     /// What rays on the host go through: made when the first one does.
     wide: OnceLock<WideBvh>,
 }
@@ -107,7 +109,8 @@ impl Scene {
             let skipped = |solid: u32| preceding.partition_point(|count| *count <= solid) as u32;
             bvh.primitive_indices.iter_mut().for_each(|index| *index += skipped(*index));
         }
-        Ok(Self { mesh, bvh, micromaps: micromaps.into(), wide: OnceLock::new() })
+        let is_translucent = micromaps.iter().any(|(_, micromap)| micromap.even_opacity().is_some());
+        Ok(Self { mesh, bvh, micromaps: micromaps.into(), is_translucent, wide: OnceLock::new() })
     }
 
     /// The mesh, in world space.
@@ -159,6 +162,13 @@ impl Trace<f32> for Scene {
 
     fn is_blocked(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> bool {
         self.wide().is_blocked(origin, direction, length)
+    }
+
+    fn transmittance(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> f32 {
+        if self.is_translucent {
+            return self.wide().transmittance(origin, direction, length);
+        }
+        if self.is_blocked(origin, direction, length) { 0.0 } else { 1.0 }
     }
 }
 

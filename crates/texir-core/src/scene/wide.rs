@@ -30,6 +30,16 @@ const MARGIN: f32 = 4.0 * f32::EPSILON;
 /// Directions nearer to 0 than this are taken for it, so that the inverse is finite.
 const TINY: f32 = 1e-20;
 
+/// Triangles, one behind the other, that let the same share of light through all over and that a ray goes through at
+/// most; what is behind more is dark.
+const MOST_SHEETS: usize = 32;
+
+// What a search looks for: the closest hit, any, or the closest of what is there if what takes the same share of light
+// all over is.
+const CLOSEST: u8 = 0;
+const ANY: u8 = 1;
+const EVENLY: u8 = 2;
+
 /// A hierarchy over triangles.
 pub struct WideBvh {
     /// As obvhs numbers them.
@@ -171,33 +181,51 @@ impl WideBvh {
 
     /// See [`Trace::closest`](super::trace::Trace::closest).
     pub fn closest(&self, origin: V3<f32>, direction: V3<f32>) -> Option<TraceHit<f32>> {
-        self.fastest::<false>(origin, direction, f32::INFINITY)
+        self.fastest::<CLOSEST>(origin, direction, [0.0, f32::INFINITY])
     }
 
     /// See [`Trace::is_blocked`](super::trace::Trace::is_blocked).
     pub fn is_blocked(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> bool {
-        self.fastest::<true>(origin, direction, length).is_some()
+        self.fastest::<ANY>(origin, direction, [0.0, length]).is_some()
+    }
+
+    /// See [`Trace::transmittance`](super::trace::Trace::transmittance).
+    pub fn transmittance(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> f32 {
+        let (mut share, mut t) = (1.0, 0.0);
+        for _ in 0..=MOST_SHEETS {
+            let Some(hit) = self.fastest::<EVENLY>(origin, direction, [t, length]) else { return share };
+            let opacity = self.micromap(hit.triangle).and_then(Micromap::even_opacity);
+            let Some(opacity) = opacity else { return 0.0 };
+            (share, t) = (share * (1.0 - opacity), hit.t);
+        }
+        0.0
+    }
+
+    /// Of a triangle of the mesh that rays meet in parts.
+    fn micromap(&self, triangle: u32) -> Option<&Micromap> {
+        let index = self.micromaps.binary_search_by_key(&triangle, |(triangle, _)| *triangle).ok()?;
+        Some(&self.micromaps[index].1)
     }
 
     /// [`Self::search`] by the fastest test of nodes that the processor has.
-    fn fastest<const ANY: bool>(&self, origin: V3<f32>, direction: V3<f32>, t_max: f32) -> Option<TraceHit<f32>> {
+    fn fastest<const HOW: u8>(&self, origin: V3<f32>, direction: V3<f32>, between: [f32; 2]) -> Option<TraceHit<f32>> {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
             // SAFETY: the processor has it.
-            return unsafe { avx2::search::<ANY>(self, origin, direction, t_max) };
+            return unsafe { avx2::search::<HOW>(self, origin, direction, between) };
         }
-        self.search::<ANY>(origin, direction, t_max, portable)
+        self.search::<HOW>(origin, direction, between, portable)
     }
 
-    /// The closest hit with 0 < t < `t_max` along the unit direction, either side of a triangle, or the first that is
-    /// found where `ANY` will do. By a test of nodes: when the ray enters each box, and, a bit each, whether it does
-    /// before the greatest t.
+    /// The closest hit with t between two bounds along the unit direction, either side of a triangle, or the first that
+    /// is found where [`ANY`] will do. By a test of nodes: when the ray enters each box, and, a bit each, whether it
+    /// does before the greatest t.
     #[inline(always)]
-    fn search<const ANY: bool>(
+    fn search<const HOW: u8>(
         &self,
         origin: V3<f32>,
         direction: V3<f32>,
-        t_max: f32,
+        [t_min, t_max]: [f32; 2],
         test: impl Fn(&Node, &Ray, f32) -> ([f32; WIDTH], u32),
     ) -> Option<TraceHit<f32>> {
         // NaN enters any box, and hits nothing in it.
@@ -226,10 +254,11 @@ impl WideBvh {
                 for primitive in &self.primitives[child.primitives()] {
                     let edges = primitive.edges.map(V3);
                     let hit = intersect(primitive.triangle, V3(primitive.corner), edges, origin, direction);
-                    let nearest = hit.filter(|hit| hit.t < t_max && counted(hit.t, hit.back, size) < reach);
-                    if let Some(hit) = nearest.and_then(|hit| self.met(hit)) {
+                    let is_between = |hit: &TraceHit<f32>| hit.t > t_min && hit.t < t_max;
+                    let nearest = hit.filter(|hit| is_between(hit) && counted(hit.t, hit.back, size) < reach);
+                    if let Some(hit) = nearest.and_then(|hit| self.met::<HOW>(hit)) {
                         (best, reach) = (Some(hit), counted(hit.t, hit.back, size));
-                        if ANY {
+                        if HOW == ANY {
                             return best;
                         }
                     }
@@ -245,14 +274,16 @@ impl WideBvh {
         }
     }
 
-    /// A hit of a [`Primitive::triangle`] as one of the mesh; `None` where there is a hole.
+    /// A hit of a [`Primitive::triangle`] as one of the mesh; `None` where there is a hole, unless it is to be met
+    /// [`EVENLY`].
     #[inline(always)]
-    fn met(&self, hit: TraceHit<f32>) -> Option<TraceHit<f32>> {
+    fn met<const HOW: u8>(&self, hit: TraceHit<f32>) -> Option<TraceHit<f32>> {
         if hit.triangle & Primitive::IN_PARTS == 0 {
             return Some(hit);
         }
         let (triangle, micromap) = &self.micromaps[(hit.triangle & !Primitive::IN_PARTS) as usize];
-        micromap.is_opaque(hit.u, hit.v).then_some(TraceHit { triangle: *triangle, ..hit })
+        let is_even = HOW == EVENLY && micromap.even_opacity().is_some();
+        (is_even || micromap.is_opaque(hit.u, hit.v)).then_some(TraceHit { triangle: *triangle, ..hit })
     }
 }
 
@@ -312,13 +343,13 @@ mod avx2 {
     use crate::scene::trace::TraceHit;
 
     #[target_feature(enable = "avx2")]
-    pub fn search<const ANY: bool>(
+    pub fn search<const HOW: u8>(
         wide: &WideBvh,
         origin: V3<f32>,
         direction: V3<f32>,
-        t_max: f32,
+        between: [f32; 2],
     ) -> Option<TraceHit<f32>> {
-        wide.search::<ANY>(origin, direction, t_max, |node, ray, t_max| test(node, ray, t_max))
+        wide.search::<HOW>(origin, direction, between, |node, ray, t_max| test(node, ray, t_max))
     }
 
     /// All boxes at once.
@@ -394,12 +425,12 @@ mod tests {
                 assert_eq!(found.map(|h| (h.triangle, h.t)), expected.map(|h| (h.triangle, h.t)), "{direction:?}");
             };
             same(wide.closest(origin, direction));
-            same(wide.search::<false>(origin, direction, f32::INFINITY, portable));
+            same(wide.search::<CLOSEST>(origin, direction, [0.0, f32::INFINITY], portable));
             let Some(hit) = expected else { continue };
             for (length, blocked) in [(hit.t * 1.001, true), (hit.t, false)] {
                 assert_eq!(wide.is_blocked(origin, direction, length), blocked, "{direction:?}");
                 assert_eq!(
-                    wide.search::<true>(origin, direction, length, portable).is_some(),
+                    wide.search::<ANY>(origin, direction, [0.0, length], portable).is_some(),
                     blocked,
                     "{direction:?}"
                 );
@@ -464,7 +495,7 @@ mod tests {
         let traced = |_: &Node, ray: &Ray, _: f32| panic!("from {:?} along 1 over {:?}", ray.origin, ray.inverse);
         for none in [V3([nan; 3]), V3([0.5, 0.5, nan]), V3([f32::INFINITY, 0.5, 0.5])] {
             for (origin, direction) in [(numbers, none), (none, numbers), (none, none)] {
-                assert!(wide.search::<false>(origin, direction, f32::INFINITY, traced).is_none());
+                assert!(wide.search::<CLOSEST>(origin, direction, [0.0, f32::INFINITY], traced).is_none());
             }
         }
     }

@@ -75,12 +75,12 @@ pub(crate) fn run(
 mod tests {
     use super::*;
     use crate::gpu::Gpu;
-    use crate::scene::BvhStorage;
+    use crate::scene::{BvhStorage, SceneOpacity};
 
     #[test]
     fn groups_stay_on_the_device() {
         let gpu = Gpu::headless(std::env::var("TEXIR_ADAPTER").ok().as_deref()).unwrap();
-        let (mut ctx, mut cache) = (Context::new(gpu, BvhStorage::Buffers, false), Cache::default());
+        let (mut ctx, mut cache) = (Context::new(gpu, BvhStorage::Buffers, SceneOpacity::Opaque), Cache::default());
         let groups =
             |members: [u32; 3]| Groups { offsets: vec![0, 2, 3], members: members.to_vec(), references: vec![1, 0] };
         let mut loss = |groups: &Groups, kept: usize| {

@@ -3,7 +3,7 @@
 use super::*;
 
 const VARIANT: Variant =
-    Variant { hierarchy: BvhStorage::Buffers, micromaps: false, roughness: RoughnessGradient::Exact };
+    Variant { hierarchy: BvhStorage::Buffers, opacity: SceneOpacity::Opaque, roughness: RoughnessGradient::Exact };
 
 fn message(sources: &[(&str, &str)]) -> String {
     match Library(sources).compose("pass", VARIANT) {
@@ -70,7 +70,7 @@ fn variants_change_the_source() {
     let source = |variant| SHADERS.compose("shade", variant).unwrap().source;
     let base = source(VARIANT);
     assert_ne!(base, source(Variant { hierarchy: BvhStorage::Textures, ..VARIANT }));
-    assert_ne!(base, source(Variant { micromaps: true, ..VARIANT }));
+    assert_ne!(base, source(Variant { opacity: SceneOpacity::InParts, ..VARIANT }));
     assert_ne!(base, source(Variant { roughness: RoughnessGradient::Authors, ..VARIANT }));
 }
 
