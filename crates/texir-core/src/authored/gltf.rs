@@ -103,7 +103,7 @@ pub struct Model {
     pub(crate) parts: Vec<Part>,
     /// By document index, glTF's default material last.
     pub(super) shading: Vec<Shading>,
-    images: Images,
+    pub(super) images: Images,
 }
 
 impl fmt::Debug for Model {

@@ -1,20 +1,15 @@
 //! What of a surface light meets: alpha (`alphaMode`) and `KHR_materials_transmission`.
 
-use std::path::Path;
-
 use glam::{Vec2, Vec3};
 use gltf::Material;
-use gltf::buffer::Data;
 use gltf::material::AlphaMode;
-use image::GrayImage;
 use serde_json::Value;
 
-use super::texture::{Placement, alpha};
-use crate::error::Result;
+use super::texture::{Alpha, Images, Texture};
 use crate::scene::TriangleOpacity;
 
-/// Parts along an edge of what is equally opaque all over, for every texel of the lightmap along it: their pattern is
-/// not to be seen in the shadow.
+/// Parts along an edge of what is opaque in part, for every texel of the lightmap along it: their pattern is not to be
+/// seen in a soft shadow.
 const PARTS_PER_TEXEL: f32 = 4.0;
 /// Most parts along an edge, of any triangle.
 const MOST_PARTS: f32 = 512.0;
@@ -25,15 +20,12 @@ const MOST_PLACES: f32 = 16.0;
 pub(super) struct Opacity {
     /// 1 − transmission.
     kept: f32,
-    /// `None`: opaque.
-    alpha: Option<Alpha>,
-}
-
-struct Alpha {
-    factor: f32,
-    /// Where alpha only tells what is there from what is not: the least alpha of what is there.
-    cutoff: Option<f32>,
-    image: Option<(Placement, GrayImage)>,
+    /// How opaque the rest is by its alpha, where no image tells.
+    plain: f32,
+    /// Where it is looked up.
+    image: Option<Texture>,
+    /// Whether it is between all and nothing in places.
+    is_partial: bool,
 }
 
 /// A triangle as its opacity sees it.
@@ -44,80 +36,73 @@ pub(super) struct Cover<F> {
     pub texels: f32,
 }
 
+/// What a material's alpha says.
+pub(super) fn alpha(material: &Material) -> Alpha {
+    let factor = material.pbr_metallic_roughness().base_color_factor()[3];
+    match material.alpha_mode() {
+        AlphaMode::Opaque => Alpha::Ignored,
+        AlphaMode::Mask => Alpha::Cut { factor, cutoff: material.alpha_cutoff().unwrap_or(0.5) },
+        AlphaMode::Blend => Alpha::Blended { factor },
+    }
+}
+
 impl Opacity {
     /// Of what lets nothing through.
-    pub const OPAQUE: Self = Self { kept: 1.0, alpha: None };
+    pub const OPAQUE: Self = Self { kept: 1.0, plain: 1.0, image: None, is_partial: false };
 
-    /// Errors on an image that cannot be read. Transmission replaces what a surface reflects, not what it emits: what
-    /// shines is there for light whatever it transmits.
-    pub fn of(path: &Path, material: &Material, buffers: &[Data]) -> Result<Self> {
+    /// Of a material whose base colour has this texture. Transmission replaces what a surface reflects, not what it
+    /// emits: what shines is there for light whatever it transmits.
+    pub fn of(material: &Material, base_colour: Option<&Texture>, images: &Images) -> Self {
         let transmission = material.extension_value("KHR_materials_transmission");
         let transmission = transmission.filter(|_| material.emissive_factor() == [0.0; 3]);
         let transmission =
             transmission.and_then(|t| t.get("transmissionFactor")).and_then(Value::as_f64).unwrap_or(0.0);
-        let base = material.pbr_metallic_roughness();
-        let of_base = |cutoff| -> Result<Alpha> {
-            let info = base.base_color_texture();
-            let image = info.map(|info| {
-                let channel = alpha(path, &info.texture().source(), buffers)?;
-                Ok(channel.map(|channel| (Placement::new(&info), channel)))
-            });
-            Ok(Alpha { factor: base.base_color_factor()[3], cutoff, image: image.transpose()?.flatten() })
+        let kept = (1.0 - transmission as f32).clamp(0.0, 1.0);
+        let plain = alpha(material).opacity(1.0);
+        let image = base_colour.filter(|texture| images.opacities(texture).any(|opacity| opacity < 1.0)).cloned();
+        let is_partial = |opacity: f32| opacity > 0.0 && opacity < 1.0;
+        let is_partial = match &image {
+            Some(image) => images.opacities(image).any(|opacity| is_partial(kept * opacity)),
+            None => is_partial(kept * plain),
         };
-        let alpha = match material.alpha_mode() {
-            AlphaMode::Opaque => None,
-            AlphaMode::Mask => Some(of_base(Some(material.alpha_cutoff().unwrap_or(0.5)))?),
-            AlphaMode::Blend => Some(of_base(None)?),
-        };
-        Ok(Self { kept: (1.0 - transmission as f32).clamp(0.0, 1.0), alpha })
+        Self { kept, plain, image, is_partial }
     }
 
-    /// Whether nothing passes, whatever the images hold.
+    /// Whether nothing passes, whatever of it is looked at.
     pub fn is_opaque(&self) -> bool {
-        self.kept == 1.0 && self.alpha.is_none()
+        self.kept == 1.0 && self.plain == 1.0 && self.image.is_none()
     }
 
-    /// How many parts a triangle's edge is to have: as many as its longest has pixels of the image.
-    pub fn side(&self, cover: &Cover<impl Fn(usize) -> [Vec2; 3]>) -> u32 {
-        let parts = match self.pixels(cover) {
-            Some(pixels) => pixels,
-            None if self.plain() == 0.0 || self.plain() == 1.0 => 1.0,
-            None => PARTS_PER_TEXEL * cover.texels,
-        };
-        parts.ceil().clamp(1.0, MOST_PARTS) as u32
+    /// How many parts a triangle's edge is to have.
+    pub fn side(&self, cover: &Cover<impl Fn(usize) -> [Vec2; 3]>, images: &Images) -> u32 {
+        let of_image = self.image.as_ref().map_or(1.0, |image| pixels(image, cover, images));
+        let of_pattern = if self.is_partial { PARTS_PER_TEXEL * cover.texels } else { 1.0 };
+        of_image.max(of_pattern).ceil().clamp(1.0, MOST_PARTS) as u32
     }
 
     /// What rays meet of a triangle of so many parts along each edge.
-    pub fn over(&self, cover: &Cover<impl Fn(usize) -> [Vec2; 3]>, side: u32, seed: u32) -> TriangleOpacity {
-        let Some((alpha, (placement, channel))) = self.image() else {
-            let plain = self.plain();
-            return TriangleOpacity::from_coverage(side, seed, |_| plain);
+    pub fn over(
+        &self,
+        cover: &Cover<impl Fn(usize) -> [Vec2; 3]>,
+        (side, seed): (u32, u32),
+        images: &Images,
+    ) -> TriangleOpacity {
+        let Some(image) = &self.image else {
+            return TriangleOpacity::from_coverage(side, seed, |_| self.kept * self.plain);
         };
-        let per_part = self.pixels(cover).unwrap_or(0.0) / side as f32;
+        let per_part = pixels(image, cover, images) / side as f32;
         let places = (2.0 * per_part * per_part).ceil().clamp(2.0, MOST_PLACES) as u32;
-        let [a, b, c] = (cover.corners)(placement.set);
+        let [a, b, c] = (cover.corners)(image.placement.set);
         TriangleOpacity::from_coverage(side, seed, |part| {
             let corners = part.map(|[u, v]| a + (b - a) * u + (c - a) * v);
-            self.kept * alpha.over(corners, placement, channel, places)
+            self.kept * mean(image, corners, places, images)
         })
     }
+}
 
-    /// Where nothing is looked up.
-    fn plain(&self) -> f32 {
-        self.kept * self.alpha.as_ref().map_or(1.0, |alpha| alpha.opacity(1.0))
-    }
-
-    fn image(&self) -> Option<(&Alpha, &(Placement, GrayImage))> {
-        self.alpha.as_ref().and_then(|alpha| Some((alpha, alpha.image.as_ref()?)))
-    }
-
-    /// Pixels of the image along the longest edge.
-    fn pixels(&self, cover: &Cover<impl Fn(usize) -> [Vec2; 3]>) -> Option<f32> {
-        let (_, (placement, channel)) = self.image()?;
-        let size = Vec2::new(channel.width() as f32, channel.height() as f32);
-        let [a, b, c] = (cover.corners)(placement.set).map(|uv| placement.place(uv) * size);
-        Some(longest([a, b, c]))
-    }
+/// Pixels of the image along a triangle's longest edge.
+fn pixels(image: &Texture, cover: &Cover<impl Fn(usize) -> [Vec2; 3]>, images: &Images) -> f32 {
+    longest((cover.corners)(image.placement.set).map(|uv| image.placement.place(uv) * image.size(images)))
 }
 
 /// The length of a triangle's longest edge.
@@ -125,25 +110,14 @@ pub(super) fn longest([a, b, c]: [Vec2; 3]) -> f32 {
     Vec3::new(a.distance(b), b.distance(c), c.distance(a)).max_element()
 }
 
-impl Alpha {
-    fn opacity(&self, of_image: f32) -> f32 {
-        match self.cutoff {
-            Some(cutoff) => f32::from(self.factor * of_image >= cutoff),
-            None => (self.factor * of_image).clamp(0.0, 1.0),
-        }
-    }
-
-    /// The mean over so many places between three corners.
-    fn over(&self, [a, b, c]: [Vec2; 3], placement: &Placement, channel: &GrayImage, places: u32) -> f32 {
-        let size = [channel.width() as usize, channel.height() as usize];
-        let at = |k: u32| {
-            // A lattice of the golden ratio over the square, its upper half folded onto the lower.
-            let along = k as f32 + 0.5;
-            let (u, v) = (along / places as f32, (along * 0.618_034).fract());
-            let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
-            let [x, y] = placement.pixel(a + (b - a) * u + (c - a) * v, size);
-            self.opacity(f32::from(channel.get_pixel(x as u32, y as u32).0[0]) / 255.0)
-        };
-        (0..places).map(at).sum::<f32>() / places as f32
-    }
+/// How opaque an image is between three corners: the mean over so many places.
+fn mean(image: &Texture, [a, b, c]: [Vec2; 3], places: u32, images: &Images) -> f32 {
+    let at = |k: u32| {
+        // A lattice of the golden ratio over the square, its upper half folded onto the lower.
+        let along = k as f32 + 0.5;
+        let (u, v) = (along / places as f32, (along * 0.618_034).fract());
+        let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+        image.opacity(a + (b - a) * u + (c - a) * v, images)
+    };
+    (0..places).map(at).sum::<f32>() / places as f32
 }

@@ -29,7 +29,8 @@ impl Model {
             let on_map = self.mesh.corner_uvs((firsts[part] + triangle) as u32).map(|uv| uv * size);
             Cover { corners: of_set, texels: longest(on_map) }
         };
-        let sides: Vec<u32> = places.par_iter().map(|place| opacity_of(place.0).side(&cover(place))).collect();
+        let sides: Vec<u32> =
+            places.par_iter().map(|place| opacity_of(place.0).side(&cover(place), &self.images)).collect();
         let parts: f64 = sides.iter().map(|&side| f64::from(side).powi(2)).sum();
         let coarser = (MOST_PARTS / parts).sqrt().min(1.0);
         let opacity: Vec<TriangleOpacity> = places
@@ -37,7 +38,8 @@ impl Model {
             .zip(sides)
             .map(|(place @ (part, triangle), side)| {
                 let side = (f64::from(side) * coarser).ceil() as u32;
-                opacity_of(*part).over(&cover(place), side, hash2(*triangle as u32, *part as u32))
+                let seed = hash2(*triangle as u32, *part as u32);
+                opacity_of(*part).over(&cover(place), (side, seed), &self.images)
             })
             .collect();
         for ((part, _), opacity) in places.into_iter().zip(opacity) {

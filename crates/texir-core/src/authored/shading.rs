@@ -7,8 +7,8 @@ use gltf::buffer::Data;
 use gltf::texture::Info;
 use gltf::{Document, Material};
 
-use super::opacity::Opacity;
-use super::texture::{Colour, Images, Texture};
+use super::opacity::{self, Opacity};
+use super::texture::{Alpha, Colour, Images, Texture};
 use crate::error::{Error, Result};
 use crate::image_io::TransferCurve;
 
@@ -46,9 +46,9 @@ pub(super) fn shading(
     bounce_albedo: BounceAlbedo,
     images: &mut Images,
 ) -> Result<Vec<Shading>> {
-    let mut colour = |factor: Vec3, info: Option<Info>, curve: TransferCurve| {
+    let colour = |factor: Vec3, info: Option<Info>, values: (TransferCurve, Alpha), images: &mut Images| {
         let mut texture =
-            |info: Info| Ok(Texture::new(&info, images.place(path, &info.texture().source(), buffers, curve)?));
+            |info: Info| Ok(Texture::new(&info, images.place(path, &info.texture().source(), buffers, values)?));
         Ok(Colour { factor, texture: info.map(&mut texture).transpose()? })
     };
     let mut of = |material: Material| -> Result<Shading> {
@@ -69,18 +69,21 @@ pub(super) fn shading(
                 ),
             ));
         }
+        let alpha = opacity::alpha(&material);
+        let albedo = colour(Vec3::new(r, g, b), base.base_color_texture(), (TransferCurve::Srgb, alpha), images)?;
         Ok(Shading {
             name,
-            albedo: colour(Vec3::new(r, g, b), base.base_color_texture(), TransferCurve::Srgb)?,
-            emission: colour(emitted, material.emissive_texture(), TransferCurve::Srgb)?,
+            emission: colour(emitted, material.emissive_texture(), (TransferCurve::Srgb, Alpha::Ignored), images)?,
             metallic_roughness: match bounce_albedo {
                 BounceAlbedo::DiffuseAndSpecular => {
-                    Some(colour(metallic_roughness, base.metallic_roughness_texture(), TransferCurve::Linear)?)
+                    let values = (TransferCurve::Linear, Alpha::Ignored);
+                    Some(colour(metallic_roughness, base.metallic_roughness_texture(), values, images)?)
                 }
                 BounceAlbedo::Diffuse => None,
             },
             double_sided: material.double_sided(),
-            opacity: Opacity::of(path, &material, buffers)?,
+            opacity: Opacity::of(&material, albedo.texture.as_ref(), images),
+            albedo,
         })
     };
     let mut all: Vec<Shading> = document.materials().map(&mut of).collect::<Result<_>>()?;

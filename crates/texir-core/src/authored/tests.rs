@@ -593,6 +593,33 @@ fn surfaces_are_there_where_their_materials_are_opaque() {
 }
 
 #[test]
+fn albedo_is_that_of_what_is_opaque() {
+    let folder = tempfile::tempdir().unwrap();
+    // Columns of opaque red and of transparent blue, many of each to a texel.
+    let column = |x: u32, _: u32| image::Rgba(if x.is_multiple_of(2) { [255, 0, 0, 255] } else { [0, 0, 255, 102] });
+    image::RgbaImage::from_fn(512, 8, column).save(folder.path().join("columns.png")).unwrap();
+    for (mode, expected) in [
+        ("MASK", [1.0, 0.0, 0.0]),
+        // As much as is seen of each: 1 and 0.4.
+        ("BLEND", [1.0 / 1.4, 0.0, 0.4 / 1.4]),
+        ("OPAQUE", [0.5, 0.0, 0.5]),
+    ] {
+        let more = json!({
+            "images": [{ "uri": "columns.png" }], "textures": [{ "source": 0 }],
+            "materials": [{ "alphaMode": mode, "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }],
+        });
+        let source = write_squares(folder.path(), &[(&[set(1.0, 0.0)], Some(0))], more);
+        let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
+        let mut backend = CpuBackend::new(model.scene().unwrap());
+        let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
+        let albedo = model.surfaces(&mut backend, &texels, None).unwrap().albedo;
+        let found = albedo.at(16, 16);
+        let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off < 0.02, "{found:?} for {expected:?}: {mode}");
+    }
+}
+
+#[test]
 fn cut_outs_cast_the_shadow_of_what_is_there() {
     let folder = tempfile::tempdir().unwrap();
     // The left half of the roof.

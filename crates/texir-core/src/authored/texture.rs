@@ -1,5 +1,5 @@
 //! Colours of glTF materials: a factor times an image, made linear and averaged over what a texel of the lightmap shows
-//! of it.
+//! of it; of images with alpha, over what is opaque of that.
 
 use std::borrow::Cow;
 use std::io::Cursor;
@@ -7,12 +7,12 @@ use std::path::Path;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use glam::{Affine2, Mat2, Vec2, Vec3};
+use glam::{Affine2, Mat2, Vec2, Vec3, Vec4, Vec4Swizzles};
 use gltf::buffer::Data;
 use gltf::image::Source;
 use gltf::texture::{Info, WrappingMode};
 use half::f16;
-use image::{DynamicImage, GrayImage, ImageReader, Luma, RgbImage};
+use image::{DynamicImage, ImageReader, RgbaImage};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -23,6 +23,8 @@ use crate::surface::TexelHit;
 
 /// Most samples along each side of what is looked up: what is wider is looked up in a coarser image.
 const SAMPLES: f32 = 4.0;
+/// Where less than this share is opaque, nothing is known of the colour.
+const OPAQUE: f32 = 1e-3;
 
 /// A factor and the image that it scales.
 pub(super) struct Colour {
@@ -77,6 +79,7 @@ impl Footprint {
 }
 
 /// How a surface's coordinates lead to places in an image.
+#[derive(Clone)]
 pub(super) struct Placement {
     /// Which TEXCOORD.
     pub set: usize,
@@ -110,6 +113,7 @@ impl Placement {
 }
 
 /// How a material uses an image.
+#[derive(Clone)]
 pub(super) struct Texture {
     /// Index into [`Images`].
     image: usize,
@@ -120,6 +124,18 @@ impl Texture {
     /// From a material's reference; `image` is the place of its image in [`Images`].
     pub fn new(info: &Info, image: usize) -> Self {
         Self { image, placement: Placement::new(info) }
+    }
+
+    /// How opaque the image is at coordinates of its set.
+    pub fn opacity(&self, uv: Vec2, images: &Images) -> f32 {
+        let fine = &images.all[self.image].fine;
+        let [x, y] = self.placement.pixel(uv, [fine.width() as usize, fine.height() as usize]);
+        f32::from(fine.get_pixel(x as u32, y as u32).0[3]) / 255.0
+    }
+
+    /// Columns and rows of its image.
+    pub fn size(&self, images: &Images) -> Vec2 {
+        images.all[self.image].size()
     }
 
     /// The mean over the footprint: images are finer than lightmaps, and what emits must not hang on where
@@ -136,8 +152,31 @@ impl Texture {
         let (sum, count) = footprint
             .places(counts)
             .filter(inside)
-            .fold((Vec3::ZERO, 0u32), |(sum, count), place| (sum + at(place), count + 1));
-        if count == 0 { at(footprint.centre) } else { sum / count as f32 }
+            .fold((Vec4::ZERO, 0u32), |(sum, count), place| (sum + at(place), count + 1));
+        let mean = if count == 0 { at(footprint.centre) } else { sum / count as f32 };
+        if mean.w < OPAQUE { image.mean() } else { mean.xyz() / mean.w }
+    }
+}
+
+/// What the alpha of pixels says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Alpha {
+    /// Nothing: all is opaque.
+    Ignored,
+    /// What has at least `cutoff` after multiplication by `factor` is opaque, and nothing else.
+    Cut { factor: f32, cutoff: f32 },
+    /// How opaque it is after multiplication.
+    Blended { factor: f32 },
+}
+
+impl Alpha {
+    /// How opaque what has this alpha is, from 0 to 1.
+    pub fn opacity(self, alpha: f32) -> f32 {
+        match self {
+            Self::Ignored => 1.0,
+            Self::Cut { factor, cutoff } => f32::from(factor * alpha >= cutoff),
+            Self::Blended { factor } => (factor * alpha).clamp(0.0, 1.0),
+        }
     }
 }
 
@@ -146,19 +185,30 @@ impl Texture {
 pub(super) struct Images {
     all: Vec<Image>,
     /// Index in the document, and what its values mean.
-    keys: Vec<(usize, TransferCurve)>,
+    keys: Vec<(usize, TransferCurve, Alpha)>,
 }
 
 impl Images {
     /// The place of an image whose values `curve` makes linear; it is decoded if it is not here yet.
-    pub fn place(&mut self, path: &Path, image: &gltf::Image, buffers: &[Data], curve: TransferCurve) -> Result<usize> {
-        let key = (image.index(), curve);
+    pub fn place(
+        &mut self,
+        path: &Path,
+        image: &gltf::Image,
+        buffers: &[Data],
+        (curve, alpha): (TransferCurve, Alpha),
+    ) -> Result<usize> {
+        let key = (image.index(), curve, alpha);
         if let Some(place) = self.keys.iter().position(|known| *known == key) {
             return Ok(place);
         }
-        self.all.push(Image::new(decoded(path, image, buffers)?.into_rgb8(), curve));
+        self.all.push(Image::new(decoded(path, image, buffers)?, curve, alpha));
         self.keys.push(key);
         Ok(self.all.len() - 1)
+    }
+
+    /// How opaque the pixels of a texture's image are.
+    pub fn opacities(&self, texture: &Texture) -> impl Iterator<Item = f32> {
+        self.all[texture.image].fine.pixels().map(|pixel| f32::from(pixel.0[3]) / 255.0)
     }
 
     /// Bytes of all.
@@ -172,15 +222,19 @@ impl Images {
 
 /// An image and its mips, each of half the width and height of the one before (rounded up), down to one pixel.
 struct Image {
-    fine: RgbImage,
+    /// Its last channel is how opaque it is.
+    fine: RgbaImage,
     /// Linear values of its eight bits.
     linear: [f32; 256],
-    /// Linear RGB; pixels of one level are of one size.
-    coarse: Vec<Raster<[f16; 3]>>,
+    /// Linear RGB times how opaque it is, and that; pixels of one level are of one size.
+    coarse: Vec<Raster<[f16; 4]>>,
 }
 
 impl Image {
-    fn new(fine: RgbImage, curve: TransferCurve) -> Self {
+    fn new(decoded: DynamicImage, curve: TransferCurve, alpha: Alpha) -> Self {
+        let mut fine = decoded.into_rgba8();
+        let opacity: [u8; 256] = std::array::from_fn(|v| (255.0 * alpha.opacity(v as f32 / 255.0)).round() as u8);
+        fine.pixels_mut().for_each(|pixel| pixel.0[3] = opacity[usize::from(pixel.0[3])]);
         let mut image =
             Self { fine, linear: std::array::from_fn(|v| curve.decode(v as f32 / 255.0)), coarse: Vec::new() };
         loop {
@@ -191,7 +245,7 @@ impl Image {
             }
             let [columns, rows] = [width, height].map(halved);
             let mean = |i: usize| {
-                let mut sum = Vec3::ZERO;
+                let mut sum = Vec4::ZERO;
                 for (y, of_row) in &rows[i / columns.len()] {
                     for (x, share) in &columns[i % columns.len()] {
                         sum += image.pixel(level, *x, *y) * share * of_row;
@@ -215,19 +269,26 @@ impl Image {
         }
     }
 
-    fn pixel(&self, level: usize, x: usize, y: usize) -> Vec3 {
+    /// Linear RGB times how opaque the pixel is, and that.
+    fn pixel(&self, level: usize, x: usize, y: usize) -> Vec4 {
         match level.checked_sub(1) {
-            None => Vec3::from(self.fine.get_pixel(x as u32, y as u32).0.map(|v| self.linear[usize::from(v)])),
-            Some(coarse) => Vec3::from(self.coarse[coarse].at(x, y).map(f16::to_f32)),
+            None => {
+                let [r, g, b, opacity] = self.fine.get_pixel(x as u32, y as u32).0;
+                let opacity = f32::from(opacity) / 255.0;
+                (Vec3::from([r, g, b].map(|v| self.linear[usize::from(v)])) * opacity).extend(opacity)
+            }
+            Some(coarse) => Vec4::from(self.coarse[coarse].at(x, y).map(f16::to_f32)),
         }
     }
 
+    /// Linear RGB of what is opaque; black where nothing is.
     fn mean(&self) -> Vec3 {
-        self.pixel(self.coarse.len(), 0, 0)
+        let mean = self.pixel(self.coarse.len(), 0, 0);
+        mean.xyz() / mean.w.max(f32::MIN_POSITIVE)
     }
 
-    /// Bilinear, at texture coordinates.
-    fn at(&self, level: usize, uv: Vec2, wrap: [WrappingMode; 2]) -> Vec3 {
+    /// [`Self::pixel`] between pixels, at texture coordinates.
+    fn at(&self, level: usize, uv: Vec2, wrap: [WrappingMode; 2]) -> Vec4 {
         let [width, height] = self.size_of(level);
         // Pixel centres are at half-integers.
         let place = uv * Vec2::new(width as f32, height as f32) - 0.5;
@@ -302,15 +363,6 @@ pub(super) fn encoded<'a>(path: &Path, image: &gltf::Image<'a>, buffers: &'a [Da
             }
         },
     }
-}
-
-/// The alpha channel of an image, if it has one.
-pub(super) fn alpha(path: &Path, image: &gltf::Image, buffers: &[Data]) -> Result<Option<GrayImage>> {
-    let image = decoded(path, image, buffers)?;
-    Ok(image.color().has_alpha().then(|| {
-        let rgba = image.into_rgba8();
-        GrayImage::from_fn(rgba.width(), rgba.height(), |x, y| Luma([rgba.get_pixel(x, y).0[3]]))
-    }))
 }
 
 /// Decodes a PNG or JPEG.
