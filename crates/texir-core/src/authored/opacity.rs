@@ -13,8 +13,6 @@ use crate::scene::TriangleOpacity;
 const PARTS_PER_TEXEL: f32 = 4.0;
 /// Most parts along an edge, of any triangle.
 const MOST_PARTS: f32 = 512.0;
-/// Most places that a part's opacity is looked up at. At least two, as edges run through parts as wide as a pixel.
-const MOST_PLACES: f32 = 16.0;
 
 /// The share of light that does not pass.
 pub(super) struct Opacity {
@@ -90,12 +88,17 @@ impl Opacity {
         let Some(image) = &self.image else {
             return TriangleOpacity::from_coverage(side, seed, |_| self.kept * self.plain);
         };
+        // Of the image as it is halved until a part is one to two of its pixels wide, or is as it is. At least two
+        // places, as edges run through parts as wide as a pixel.
         let per_part = pixels(image, cover, images) / side as f32;
-        let places = (2.0 * per_part * per_part).ceil().clamp(2.0, MOST_PLACES) as u32;
-        let [a, b, c] = (cover.corners)(image.placement.set);
+        let level = per_part.max(1.0).log2() as usize;
+        let width = per_part / (level as f32).exp2();
+        let places = lattice((2.0 * width * width).ceil().max(2.0) as u32);
+        let [a, b, c] = (cover.corners)(image.placement.set).map(|uv| image.placement.place(uv));
         TriangleOpacity::from_coverage(side, seed, |part| {
-            let corners = part.map(|[u, v]| a + (b - a) * u + (c - a) * v);
-            self.kept * mean(image, corners, places, images)
+            let [a, b, c] = part.map(|[u, v]| a + (b - a) * u + (c - a) * v);
+            let places = places.iter().map(|place| a + (b - a) * place.x + (c - a) * place.y);
+            self.kept * image.opacity(places, level, images)
         })
     }
 }
@@ -110,14 +113,13 @@ pub(super) fn longest([a, b, c]: [Vec2; 3]) -> f32 {
     Vec3::new(a.distance(b), b.distance(c), c.distance(a)).max_element()
 }
 
-/// How opaque an image is between three corners: the mean over so many places.
-fn mean(image: &Texture, [a, b, c]: [Vec2; 3], places: u32, images: &Images) -> f32 {
-    let at = |k: u32| {
-        // A lattice of the golden ratio over the square, its upper half folded onto the lower.
+/// So many places in a triangle, by barycentric coordinates: a lattice of the golden ratio over the square, its upper
+/// half folded onto the lower.
+fn lattice(count: u32) -> Vec<Vec2> {
+    let place = |k: u32| {
         let along = k as f32 + 0.5;
-        let (u, v) = (along / places as f32, (along * 0.618_034).fract());
-        let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
-        image.opacity(a + (b - a) * u + (c - a) * v, images)
+        let place = Vec2::new(along / count as f32, (along * 0.618_034).fract());
+        if place.element_sum() > 1.0 { 1.0 - place } else { place }
     };
-    (0..places).map(at).sum::<f32>() / places as f32
+    (0..count).map(place).collect()
 }

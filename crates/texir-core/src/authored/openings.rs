@@ -9,8 +9,8 @@ use crate::error::listed;
 use crate::rng::hash2;
 use crate::scene::TriangleOpacity;
 
-/// Parts of triangles in the whole scene: 32 MiB of bits. What has more is cut into coarser parts.
-const MOST_PARTS: f64 = (1u64 << 28) as f64;
+/// Parts of triangles in the whole scene: 8 MiB of bits, told in some seconds. What has more is cut into coarser parts.
+const MOST_PARTS: f64 = (1u64 << 26) as f64;
 
 impl Model {
     /// Tells what rays meet of every part's triangles, and the user where they go through. The mesh must have the

@@ -104,12 +104,6 @@ impl Placement {
     pub fn place(&self, uv: Vec2) -> Vec2 {
         self.image_from_uv.transform_point2(uv)
     }
-
-    /// The pixel of an image of this size at coordinates of its set.
-    pub fn pixel(&self, uv: Vec2, [width, height]: [usize; 2]) -> [usize; 2] {
-        let place = (self.place(uv) * Vec2::new(width as f32, height as f32)).floor();
-        [wrapped(place.x, width, self.wrap[0]), wrapped(place.y, height, self.wrap[1])]
-    }
 }
 
 /// How a material uses an image.
@@ -126,11 +120,11 @@ impl Texture {
         Self { image, placement: Placement::new(info) }
     }
 
-    /// How opaque the image is at coordinates of its set.
-    pub fn opacity(&self, uv: Vec2, images: &Images) -> f32 {
-        let fine = &images.all[self.image].fine;
-        let [x, y] = self.placement.pixel(uv, [fine.width() as usize, fine.height() as usize]);
-        f32::from(fine.get_pixel(x as u32, y as u32).0[3]) / 255.0
+    /// How opaque the image is on average, as it is halved `level` times, at places in it.
+    pub fn opacity(&self, places: impl ExactSizeIterator<Item = Vec2>, level: usize, images: &Images) -> f32 {
+        let (image, count) = (&images.all[self.image], places.len() as f32);
+        let level = level.min(image.coarse.len());
+        places.map(|place| image.opacity(level, place, self.placement.wrap)).sum::<f32>() / count
     }
 
     /// Columns and rows of its image.
@@ -281,6 +275,17 @@ impl Image {
         }
     }
 
+    /// How opaque the pixel at texture coordinates is.
+    fn opacity(&self, level: usize, uv: Vec2, [across, down]: [WrappingMode; 2]) -> f32 {
+        let [width, height] = self.size_of(level);
+        let place = (uv * Vec2::new(width as f32, height as f32)).floor();
+        let (x, y) = (wrapped(place.x, width, across), wrapped(place.y, height, down));
+        match level.checked_sub(1) {
+            None => f32::from(self.fine.get_pixel(x as u32, y as u32).0[3]) / 255.0,
+            Some(coarse) => self.coarse[coarse].at(x, y)[3].to_f32(),
+        }
+    }
+
     /// Linear RGB of what is opaque; black where nothing is.
     fn mean(&self) -> Vec3 {
         let mean = self.pixel(self.coarse.len(), 0, 0);
@@ -319,6 +324,8 @@ fn halved(size: usize) -> Vec<Vec<(usize, f32)>> {
 fn wrapped(at: f32, size: usize, mode: WrappingMode) -> usize {
     let n = size as f32;
     let inside = match mode {
+        // Most are, and remainders are slow.
+        _ if (0.0..n).contains(&at) => at,
         WrappingMode::ClampToEdge => at,
         WrappingMode::Repeat => at.rem_euclid(n),
         WrappingMode::MirroredRepeat => {
