@@ -11,6 +11,8 @@ use crate::scene::TriangleOpacity;
 /// Parts along an edge of what is opaque in part, for every texel of the lightmap along it: their pattern is not to be
 /// seen in a soft shadow.
 const PARTS_PER_TEXEL: f32 = 4.0;
+/// Places that a part's opacity is looked up at.
+const PLACES: u32 = 2;
 /// Most parts along an edge, of any triangle.
 const MOST_PARTS: f32 = 512.0;
 
@@ -88,12 +90,9 @@ impl Opacity {
         let Some(image) = &self.image else {
             return TriangleOpacity::from_coverage(side, seed, |_| self.kept * self.plain);
         };
-        // Of the image as it is halved until a part is one to two of its pixels wide, or is as it is. At least two
-        // places, as edges run through parts as wide as a pixel.
-        let per_part = pixels(image, cover, images) / side as f32;
-        let level = per_part.max(1.0).log2() as usize;
-        let width = per_part / (level as f32).exp2();
-        let places = lattice((2.0 * width * width).ceil().max(2.0) as u32);
+        // Of the image as it is halved until a part is no wider than a pixel, through which edges run nonetheless.
+        let level = (pixels(image, cover, images) / side as f32).max(1.0).log2().ceil() as usize;
+        let places = lattice(PLACES);
         let [a, b, c] = (cover.corners)(image.placement.set).map(|uv| image.placement.place(uv));
         TriangleOpacity::from_coverage(side, seed, |part| {
             let [a, b, c] = part.map(|[u, v]| a + (b - a) * u + (c - a) * v);
