@@ -8,6 +8,7 @@ const MOST_SHEETS: u32 = 32u;
 
 // The share of light that passes from 0 < t < t_max along the unit direction; of sheets in one place, by one of them.
 fn transmittance(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
+    let size = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
     var share = 1.0;
     var t = 0.0;
     for (var sheets = 0u; sheets <= MOST_SHEETS; sheets += 1u) {
@@ -19,7 +20,8 @@ fn transmittance(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
         if share == 0.0 {
             return 0.0;
         }
-        t = hit.t;
+        // Beyond those in the same place, whose distances round apart.
+        t = hit.t + BACK_FACE_BIAS * (hit.t + size);
     }
     return 0.0;
 }

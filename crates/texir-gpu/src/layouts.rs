@@ -9,7 +9,7 @@ use texir_core::environment::{BrightPixel, BrightRow};
 use texir_core::neighbours::{Entry, FAR, NEAR};
 use texir_core::rng::MORTON_SIDE;
 use texir_core::scene::trace::BACK_FACE_BIAS;
-use texir_core::scene::{MAX_LEVELS, SLAB_ROUNDING};
+use texir_core::scene::{MAX_LEVELS, MOST_SHEETS, SLAB_ROUNDING};
 use texir_core::specular_table::{LOBES, NODES, STRATA};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
@@ -237,6 +237,7 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("primary", "TEXTURE_COLUMNS", TEXTURE_COLUMNS.into()),
         ("primary", "WORKGROUP", WORKGROUP as f64),
         ("primary", "IN_PARTS", IN_PARTS.into()),
+        ("punctual", "MOST_SHEETS", MOST_SHEETS.into()),
         ("primary", "STACK_SIZE", (MAX_LEVELS + 1) as f64),
         ("primary", "BACK_FACE_BIAS", BACK_FACE_BIAS),
         ("primary", "SLAB_ROUNDING", SLAB_ROUNDING.into()),
@@ -272,7 +273,7 @@ fn constant(module: &naga::Module, name: &str) -> Option<f64> {
 fn constants_that_both_have_are_the_same() {
     let variant = Variant {
         hierarchy: BvhStorage::Textures,
-        opacity: SceneOpacity::InParts,
+        opacity: SceneOpacity::Translucent,
         roughness: RoughnessGradient::Exact,
     };
     for (shader, name, host) in constants() {

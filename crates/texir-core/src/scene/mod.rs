@@ -18,8 +18,8 @@ use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 use crate::real::V3;
 use trace::{Trace, TraceHit};
-pub use wide::SLAB_ROUNDING;
 use wide::WideBvh;
+pub use wide::{MOST_SHEETS, SLAB_ROUNDING};
 
 /// Coordinates beyond this, metres, are taken for damage: sums of areas of such boxes would overflow.
 const FARTHEST: f32 = 1e9;
@@ -210,7 +210,7 @@ mod tests {
 
     #[test]
     fn rays_meet_the_parts_of_triangles_that_are_there() {
-        // Random triangles, every third of them whole, every third in parts and every third as these parts one by one.
+        // Random triangles, some in parts; and the same with these parts as triangles of their own.
         let unit = |i: u32, k: u32| hash2(i, k) as f32 / u32::MAX as f32;
         let corners = |i: u32| {
             let corner = |k: u32| Vec3::new(unit(i, k), unit(i, k + 1), unit(i, k + 2));

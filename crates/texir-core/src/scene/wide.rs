@@ -32,7 +32,7 @@ const TINY: f32 = 1e-20;
 
 /// Triangles, one behind the other, that let the same share of light through all over and that a ray goes through at
 /// most; what is behind more is dark.
-const MOST_SHEETS: usize = 32;
+pub const MOST_SHEETS: u32 = 32;
 
 // What a search looks for: the closest hit, any, or the closest of what is there if what takes the same share of light
 // all over is.
@@ -84,6 +84,12 @@ struct Ray {
     inverse: [f32; 3],
     /// Which of [`Node::bounds`] it enters by along each axis; it leaves by the other.
     near: [usize; 3],
+}
+
+/// How far a place is from the origin, along the axis where it is farthest.
+#[inline(always)]
+fn size_of(V3(place): V3<f32>) -> f32 {
+    place.into_iter().fold(0.0, |size: f32, x| size.max(x.abs()))
 }
 
 /// How far a hit counts as, of a ray that begins as far from the origin as `size`.
@@ -191,12 +197,14 @@ impl WideBvh {
 
     /// See [`Trace::transmittance`](super::trace::Trace::transmittance).
     pub fn transmittance(&self, origin: V3<f32>, direction: V3<f32>, length: f32) -> f32 {
+        let size = size_of(origin);
         let (mut share, mut t) = (1.0, 0.0);
         for _ in 0..=MOST_SHEETS {
             let Some(hit) = self.fastest::<EVENLY>(origin, direction, [t, length]) else { return share };
             let opacity = self.micromap(hit.triangle).and_then(Micromap::even_opacity);
             let Some(opacity) = opacity else { return 0.0 };
-            (share, t) = (share * (1.0 - opacity), hit.t);
+            // Beyond those in the same place, whose distances round apart.
+            (share, t) = (share * (1.0 - opacity), counted(hit.t, true, size));
         }
         0.0
     }
@@ -233,7 +241,7 @@ impl WideBvh {
             return None;
         }
         let ray = Ray::new(origin, direction);
-        let size = origin.0.into_iter().fold(0.0, |size: f32, x| size.max(x.abs()));
+        let size = size_of(origin);
         let mut best = None;
         // How far it counts as: within the limit are backs too, however far they count as.
         let mut reach = counted(t_max, true, size);
@@ -380,8 +388,8 @@ mod tests {
     use super::*;
     use crate::mesh::Mesh;
     use crate::rng::hash2;
-    use crate::scene::Scene;
     use crate::scene::trace::{BruteForce, Trace};
+    use crate::scene::{Scene, TriangleOpacity};
     use glam::{EulerRot, Quat, Vec2, Vec3};
 
     /// Triangles of all sizes in a unit cube, some of them parallel to its sides.
@@ -500,31 +508,49 @@ mod tests {
         }
     }
 
-    #[test]
-    fn of_two_sheets_in_one_place_rays_meet_the_one_that_faces_them() {
-        // Cut along different diagonals, turned, and away from the origin, so that distances round apart.
+    /// Two sheets in one place that face opposite ways, and rays through both: the even ones from the front of the
+    /// first. Cut along different diagonals, turned, and away from the origin, so that distances round apart.
+    fn two_sheets() -> (Mesh, impl Iterator<Item = (V3<f32>, V3<f32>)>) {
         let turn = Quat::from_euler(EulerRot::XYZ, 0.4, 1.1, -0.7);
         let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
-        let place = |(x, y): (f32, f32)| turn * Vec3::new(2.0 * x, 2.0 * y, 0.3) + Vec3::new(7.0, -3.0, 5.0);
+        let place = move |(x, y): (f32, f32)| turn * Vec3::new(2.0 * x, 2.0 * y, 0.3) + Vec3::new(7.0, -3.0, 5.0);
         let mesh = Mesh {
             positions: corners.map(place).to_vec(),
             normals: vec![turn * Vec3::Z; 4],
             uvs: vec![Vec2::ZERO; 4],
             triangles: vec![[0, 1, 2], [0, 2, 3], [1, 0, 3], [1, 3, 2]],
         };
-        let scene = Scene::new(mesh).unwrap();
-        let mut crossed = [0u32; 2];
-        for i in 0..20_000 {
+        let rays = (0..20_000).map(move |i| {
             let unit = |k: u32| hash2(i, k) as f32 / u32::MAX as f32 * 2.0 - 1.0;
             let side = if i % 2 == 0 { 1.0 } else { -1.0 };
             let from = turn * Vec3::new(3.0 * unit(0), 3.0 * unit(1), 0.3 + side * (0.1 + 2.0 * unit(2).abs()))
                 + Vec3::new(7.0, -3.0, 5.0);
             let to = place((0.99 * unit(3), 0.99 * unit(4)));
-            let (origin, direction) = (V3(from.to_array()), V3((to - from).normalize().to_array()));
+            (V3(from.to_array()), V3((to - from).normalize().to_array()))
+        });
+        (mesh, rays)
+    }
+
+    #[test]
+    fn of_two_translucent_sheets_in_one_place_one_takes_its_share() {
+        let (mesh, rays) = two_sheets();
+        let translucent = |seed| TriangleOpacity::from_coverage(4, seed, |_| 0.25);
+        let scene = Scene::with_opacity(mesh, translucent).unwrap();
+        for (i, (origin, direction)) in rays.enumerate() {
+            assert_eq!(scene.transmittance(origin, direction, f32::INFINITY), 0.75, "ray {i}");
+        }
+    }
+
+    #[test]
+    fn of_two_sheets_in_one_place_rays_meet_the_one_that_faces_them() {
+        let (mesh, rays) = two_sheets();
+        let scene = Scene::new(mesh).unwrap();
+        let mut crossed = [0u32; 2];
+        for (i, (origin, direction)) in rays.enumerate() {
             let exhaustive = Trace::<f32>::closest(&BruteForce(scene.mesh()), origin, direction).unwrap();
             let hit = scene.closest(origin, direction).unwrap();
-            assert!(!hit.back && !exhaustive.back, "ray {i} from {from} to {to}");
-            crossed[(i % 2) as usize] += u32::from(hit.triangle < 2);
+            assert!(!hit.back && !exhaustive.back, "ray {i} from {origin:?} along {direction:?}");
+            crossed[i % 2] += u32::from(hit.triangle < 2);
         }
         assert_eq!(crossed, [10_000, 0], "either side meets its own sheet");
     }
