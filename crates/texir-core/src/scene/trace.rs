@@ -35,9 +35,9 @@ pub trait Trace<R: Real>: Sync {
     /// Whether anything is hit with 0 < t < `length` along the unit direction, either side of a triangle.
     fn is_blocked(&self, origin: V3<R>, direction: V3<R>, length: R) -> bool;
 
-    /// The share of light that passes from 0 < t < `length` along the unit direction. What takes the same share of light
-    /// all over takes that ([`super::Micromap::even_opacity`]); of such sheets in one place, one does. All else takes
-    /// all or nothing, as in [`Trace::is_blocked`].
+    /// The share of light that passes along the unit direction, from 0 < t < `length`. What takes the same share of
+    /// light all over takes that ([`super::Micromap::even_opacity`]); of such sheets in one place, one does. All else
+    /// takes all or nothing, as in [`Trace::is_blocked`].
     fn transmittance(&self, origin: V3<R>, direction: V3<R>, length: R) -> R {
         R::of(if self.is_blocked(origin, direction, length) { 0.0 } else { 1.0 })
     }
