@@ -148,7 +148,8 @@ fn micromap_words(scene: &Scene, first: usize) -> (Vec<[u32; 4]>, Vec<u32>) {
     let (mut words, mut begins) = (Vec::new(), Vec::new());
     for (triangle, micromap) in scene.micromaps() {
         begins.push((first + words.len()) as u32);
-        words.push([*triangle, micromap.side(), micromap.even_opacity().unwrap_or(0.0).to_bits(), 0]);
+        let even = micromap.even_opacity().unwrap_or(0.0).to_bits();
+        words.push([*triangle, micromap.side(), even, micromap.seed()]);
         words.extend(micromap.words().chunks(4).map(|bits| {
             let mut word = [0; 4];
             word[..bits.len()].copy_from_slice(bits);

@@ -8,8 +8,8 @@ use serde_json::Value;
 use super::texture::{Alpha, Images, Texture};
 use crate::scene::TriangleOpacity;
 
-/// Parts along an edge of what is opaque in part, for every texel of the lightmap along it: their pattern is not to be
-/// seen in a soft shadow.
+/// Parts along an edge of an image that is opaque in part, at least, for every texel of the lightmap along it: their
+/// pattern is not to be seen in a soft shadow.
 const PARTS_PER_TEXEL: f32 = 4.0;
 /// Places that a part's opacity is looked up at.
 const PLACES: u32 = 2;
@@ -24,7 +24,7 @@ pub(super) struct Opacity {
     plain: f32,
     /// Where it is looked up.
     image: Option<Texture>,
-    /// Whether it is between all and nothing in places.
+    /// Whether that is between all and nothing in places.
     is_partial: bool,
 }
 
@@ -61,10 +61,8 @@ impl Opacity {
         let plain = alpha(material).opacity(1.0);
         let image = base_colour.filter(|texture| images.opacities(texture).any(|opacity| opacity < 1.0)).cloned();
         let is_partial = |opacity: f32| opacity > 0.0 && opacity < 1.0;
-        let is_partial = match &image {
-            Some(image) => images.opacities(image).any(|opacity| is_partial(kept * opacity)),
-            None => is_partial(kept * plain),
-        };
+        let is_partial =
+            image.as_ref().is_some_and(|image| images.opacities(image).any(|opacity| is_partial(kept * opacity)));
         Self { kept, plain, image, is_partial }
     }
 

@@ -529,6 +529,7 @@ fn surfaces_are_there_where_their_materials_are_opaque() {
         let of_triangle = |opacity: &TriangleOpacity| match opacity {
             TriangleOpacity::Opaque => 1.0,
             TriangleOpacity::Transparent => 0.0,
+            TriangleOpacity::Micromap(map) if map.even_opacity().is_some() => map.even_opacity().unwrap(),
             TriangleOpacity::Micromap(map) => {
                 let set: u32 = map.words().iter().map(|word| word.count_ones()).sum();
                 set as f32 / map.side().pow(2) as f32

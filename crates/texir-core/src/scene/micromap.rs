@@ -19,17 +19,18 @@ pub enum TriangleOpacity {
     Micromap(Micromap),
 }
 
-/// A triangle cut along `side` − 1 lines parallel to each of its edges into `side`² parts alike, a bit each: whether
-/// rays meet it.
+/// A triangle cut along `side` − 1 lines parallel to each of its edges into `side`² parts alike: whether rays meet each.
 ///
 /// Parts come in rows from the edge between the first two corners to the third; those of a row by barycentric `u`, of
 /// which every second one is upside down.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Micromap {
     side: u32,
+    /// A bit for every part; none where it is [`Micromap::even_opacity`] that decides, with thresholds of `seed`.
     words: Box<[u32]>,
     /// The bits of what [`Micromap::even_opacity`] is; 0 for `None`.
     even: u32,
+    seed: u32,
 }
 
 /// The place of a part of a triangle: its column along the first edge, its row, and whether it is upside down.
@@ -42,6 +43,8 @@ impl TriangleOpacity {
     /// A part is there or it is not. Parts that are covered in part are there by an ordered dither (thresholds from the
     /// R2 sequence: Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018), so that as much is there
     /// as is covered, and no two neighbours alike. Of triangles behind each other each should have a `seed` of its own.
+    /// What is covered alike all over is cut as finely as can be, so that each of a point's rays is stopped or passes by
+    /// itself.
     pub fn from_coverage(side: u32, seed: u32, coverage: impl Fn([[f32; 2]; 3]) -> f32) -> Self {
         let side = side.clamp(1, Micromap::MAX_SIDE);
         let count = side * side;
@@ -55,11 +58,14 @@ impl TriangleOpacity {
                 set += 1;
             }
         }
-        let is_even = least == most && most > 0.0 && most < 1.0;
+        if least == most && most > 0.0 && most < 1.0 {
+            let (side, words, even) = (Micromap::MAX_SIDE, Default::default(), most.to_bits());
+            return Self::Micromap(Micromap { side, words, even, seed });
+        }
         match set {
-            0 if !is_even => Self::Transparent,
-            set if set == count && !is_even => Self::Opaque,
-            _ => Self::Micromap(Micromap { side, words: words.into(), even: if is_even { most.to_bits() } else { 0 } }),
+            0 => Self::Transparent,
+            set if set == count => Self::Opaque,
+            _ => Self::Micromap(Micromap { side, words: words.into(), even: 0, seed }),
         }
     }
 }
@@ -73,7 +79,8 @@ impl Micromap {
         self.side
     }
 
-    /// A bit for every part, from the least significant bit of the first word.
+    /// A bit for every part, from the least significant bit of the first word; none where there is an
+    /// [`Micromap::even_opacity`].
     pub fn words(&self) -> &[u32] {
         &self.words
     }
@@ -81,6 +88,11 @@ impl Micromap {
     /// The share of light that the triangle takes, above 0 and below 1, where that is the same all over.
     pub fn even_opacity(&self) -> Option<f32> {
         (self.even != 0).then_some(f32::from_bits(self.even))
+    }
+
+    /// What shifts the thresholds of what is equally opaque all over.
+    pub fn seed(&self) -> u32 {
+        self.seed
     }
 
     /// Whether rays meet the part at barycentric coordinates.
@@ -92,6 +104,9 @@ impl Micromap {
         let column = (x as u32).min(last);
         // Beyond a row's last cell there is no triangle to turn.
         let turned = column < last && (x - column as f32) + (y - row as f32) > 1.0;
+        if let Some(opacity) = self.even_opacity() {
+            return opacity > threshold((column, row, turned), self.seed);
+        }
         let index = row * (2 * self.side - row) + 2 * column + u32::from(turned);
         self.words[(index / 32) as usize] >> (index % 32) & 1 == 1
     }
@@ -164,22 +179,24 @@ mod tests {
     fn as_much_is_there_as_is_covered() {
         for coverage in [0.05, 0.3, 0.5, 0.9] {
             for seed in [0, 1 << 30, 123_456_789] {
-                let TriangleOpacity::Micromap(map) = TriangleOpacity::from_coverage(40, seed, |_| coverage) else {
+                let TriangleOpacity::Micromap(even) = TriangleOpacity::from_coverage(40, seed, |_| coverage) else {
+                    panic!("{coverage} is neither all nor nothing");
+                };
+                assert_eq!((even.even_opacity(), even.words()), (Some(coverage), &[][..]));
+                let places = parts(100).map(|part| within(corners(100, part), [0.3, 0.3]));
+                let met = places.filter(|[u, v]| even.is_opaque(*u, *v)).count();
+                assert!((met as f32 / 1e4 - coverage).abs() < 0.02, "{met} of 10,000 for {coverage}");
+                // All but equal.
+                let varying = |[[u, _], ..]: [[f32; 2]; 3]| coverage + 1e-3 * u;
+                let TriangleOpacity::Micromap(map) = TriangleOpacity::from_coverage(40, seed, varying) else {
                     panic!("{coverage} is neither all nor nothing");
                 };
                 let set: u32 = map.words().iter().map(|word| word.count_ones()).sum();
                 assert!((set as f32 / 1600.0 - coverage).abs() < 0.02, "{set} of 1600 for {coverage}");
-                assert_eq!(map.even_opacity(), Some(coverage));
+                assert_eq!(map.even_opacity(), None);
             }
         }
         assert_eq!(TriangleOpacity::from_coverage(40, 7, |_| 1.0), TriangleOpacity::Opaque);
         assert_eq!(TriangleOpacity::from_coverage(40, 7, |_| 0.0), TriangleOpacity::Transparent);
-        // As little as this is in no part, and is still taken from what passes.
-        let TriangleOpacity::Micromap(thin) = TriangleOpacity::from_coverage(1, 7, |_| 1e-3) else {
-            panic!("it is there")
-        };
-        assert_eq!((thin.words(), thin.even_opacity()), (&[0][..], Some(1e-3)));
-        let uneven = TriangleOpacity::from_coverage(40, 7, |[[u, _], ..]| u);
-        assert!(matches!(uneven, TriangleOpacity::Micromap(map) if map.even_opacity().is_none()));
     }
 }
