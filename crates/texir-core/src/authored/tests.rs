@@ -9,7 +9,7 @@ use gltf::binary::Glb;
 use serde_json::{Value, json};
 
 use super::BounceLimit::{Bound, Wanted};
-use super::{BounceAlbedo, BounceLimit, Bounces, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
+use super::{BounceAlbedo, BounceLimit, Bounces, Model, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
 use crate::backend::{Backend, Gather};
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
@@ -465,6 +465,17 @@ fn what_is_lit_under_a_roof_of_one_sheet_is_not_inside_of_something() {
     assert_eq!(told(scene, 2, Wanted), [None, None]);
 }
 
+/// Visits the irradiance of a model's texels, baked with few rays and so many bounces.
+fn each_baked(model: &Model, most: u32, visit: impl FnMut(&SurfacePoint, [f32; 3], bool)) {
+    let mut backend = CpuBackend::new(model.scene().unwrap());
+    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
+    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
+    let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
+    let bounces = Bounces { quality, tolerance: 0.0, most };
+    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+    solved.solution.each(&texels, visit).unwrap();
+}
+
 /// The mean irradiance of a floor under a lamp, where `roof` is between both: a sheet of a material, wider than it is
 /// high.
 fn under_a_roof(roof: Mat4, material: Option<Value>) -> f32 {
@@ -474,23 +485,14 @@ fn under_a_roof(roof: Mat4, material: Option<Value>) -> f32 {
     let placed = [(0, Mat4::IDENTITY), (1, roof)];
     let scene = write_lit(folder.path(), &placed, Vec3::new(0.5, 2.0, 0.5), vec![None, material]);
     let model = read_gltf(scene, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
-    let mut backend = CpuBackend::new(model.scene().unwrap());
-    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
-    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
-    let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
-    let bounces = Bounces { quality, tolerance: 0.0, most: 2 };
-    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     // The floor has the mesh's first two triangles.
     let (mut sum, mut count) = (0.0, 0);
     let of_floor = |point: &SurfacePoint| point.triangle < 2;
-    solved
-        .solution
-        .each(&texels, |point, e, _| {
-            if of_floor(point) {
-                (sum, count) = (sum + e[0], count + 1)
-            }
-        })
-        .unwrap();
+    each_baked(&model, 2, |point, e, _| {
+        if of_floor(point) {
+            (sum, count) = (sum + e[0], count + 1)
+        }
+    });
     assert!(count > 0);
     sum / count as f32
 }
@@ -643,12 +645,6 @@ fn cut_outs_cast_the_shadow_of_what_is_there() {
     document["nodes"].as_array_mut().unwrap().push(lamp);
     std::fs::write(&source, document.to_string()).unwrap();
     let model = read_gltf(source, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
-    let mut backend = CpuBackend::new(model.scene().unwrap());
-    let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
-    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
-    let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
-    let bounces = Bounces { quality, tolerance: 0.0, most: 0 };
-    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     let mut seen = [0; 2];
     let look = |point: &SurfacePoint, e: [f32; 3], _: bool| {
         let ([x, ..], floor) = (point.position, point.triangle < 2);
@@ -658,7 +654,7 @@ fn cut_outs_cast_the_shadow_of_what_is_there() {
             seen[usize::from(x > 0.5)] += 1;
         }
     };
-    solved.solution.each(&texels, look).unwrap();
+    each_baked(&model, 0, look);
     assert!(seen.iter().all(|count| *count > 50), "{seen:?}");
 }
 
