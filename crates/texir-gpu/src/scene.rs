@@ -57,7 +57,7 @@ impl SceneOpacity {
     pub fn of(scene: &Scene) -> Self {
         match scene.micromaps() {
             [] => Self::Opaque,
-            all if all.iter().any(|(_, micromap)| micromap.even_opacity().is_some()) => Self::Translucent,
+            _ if scene.is_translucent() => Self::Translucent,
             _ => Self::InParts,
         }
     }

@@ -26,11 +26,16 @@ pub enum TriangleOpacity {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Micromap {
     side: u32,
-    /// A bit for every part; none where it is [`Micromap::even_opacity`] that decides, with thresholds of `seed`.
-    words: Box<[u32]>,
-    /// The bits of what [`Micromap::even_opacity`] is; 0 for `None`.
-    even: u32,
-    seed: u32,
+    parts: Parts,
+}
+
+/// Which parts are there.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Parts {
+    /// A bit for each.
+    Listed(Box<[u32]>),
+    /// Those whose threshold is below the opacity, here by its bits, of all alike.
+    Even { opacity: u32, seed: u32 },
 }
 
 /// The place of a part of a triangle: its column along the first edge, its row, and whether it is upside down.
@@ -59,13 +64,13 @@ impl TriangleOpacity {
             }
         }
         if least == most && most > 0.0 && most < 1.0 {
-            let (side, words, even) = (Micromap::MAX_SIDE, Default::default(), most.to_bits());
-            return Self::Micromap(Micromap { side, words, even, seed });
+            let parts = Parts::Even { opacity: most.to_bits(), seed };
+            return Self::Micromap(Micromap { side: Micromap::MAX_SIDE, parts });
         }
         match set {
             0 => Self::Transparent,
             set if set == count => Self::Opaque,
-            _ => Self::Micromap(Micromap { side, words: words.into(), even: 0, seed }),
+            _ => Self::Micromap(Micromap { side, parts: Parts::Listed(words.into()) }),
         }
     }
 }
@@ -82,17 +87,26 @@ impl Micromap {
     /// A bit for every part, from the least significant bit of the first word; none where there is an
     /// [`Micromap::even_opacity`].
     pub fn words(&self) -> &[u32] {
-        &self.words
+        match &self.parts {
+            Parts::Listed(words) => words,
+            Parts::Even { .. } => &[],
+        }
     }
 
     /// The share of light that the triangle takes, above 0 and below 1, where that is the same all over.
     pub fn even_opacity(&self) -> Option<f32> {
-        (self.even != 0).then_some(f32::from_bits(self.even))
+        match self.parts {
+            Parts::Listed(_) => None,
+            Parts::Even { opacity, .. } => Some(f32::from_bits(opacity)),
+        }
     }
 
-    /// What shifts the thresholds of what is equally opaque all over.
+    /// What shifts the thresholds of what is equally opaque all over; of nothing else, 0.
     pub fn seed(&self) -> u32 {
-        self.seed
+        match self.parts {
+            Parts::Listed(_) => 0,
+            Parts::Even { seed, .. } => seed,
+        }
     }
 
     /// Whether rays meet the part at barycentric coordinates.
@@ -104,11 +118,13 @@ impl Micromap {
         let column = (x as u32).min(last);
         // Beyond a row's last cell there is no triangle to turn.
         let turned = column < last && (x - column as f32) + (y - row as f32) > 1.0;
-        if let Some(opacity) = self.even_opacity() {
-            return opacity > threshold((column, row, turned), self.seed);
+        match &self.parts {
+            Parts::Listed(words) => {
+                let index = row * (2 * self.side - row) + 2 * column + u32::from(turned);
+                words[(index / 32) as usize] >> (index % 32) & 1 == 1
+            }
+            Parts::Even { opacity, seed } => f32::from_bits(*opacity) > threshold((column, row, turned), *seed),
         }
-        let index = row * (2 * self.side - row) + 2 * column + u32::from(turned);
-        self.words[(index / 32) as usize] >> (index % 32) & 1 == 1
     }
 }
 

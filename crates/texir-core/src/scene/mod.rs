@@ -38,7 +38,7 @@ pub struct Scene {
     mesh: Mesh,
     bvh: CwBvh,
     micromaps: Arc<[(u32, Micromap)]>,
-    /// Whether some of them take the same share of light all over.
+    /// See [`Scene::is_translucent`].
     is_translucent: bool,
     /// What rays on the host go through: made when the first one does.
     wide: OnceLock<WideBvh>,
@@ -132,6 +132,11 @@ impl Scene {
     /// The triangles that rays meet in parts, in ascending order.
     pub fn micromaps(&self) -> &[(u32, Micromap)] {
         &self.micromaps
+    }
+
+    /// Whether some triangles take the same share of light all over ([`Micromap::even_opacity`]).
+    pub fn is_translucent(&self) -> bool {
+        self.is_translucent
     }
 
     /// Whether rays meet each triangle of the mesh, or a part of it.
