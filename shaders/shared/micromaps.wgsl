@@ -1,12 +1,14 @@
 // What rays meet of a triangle, in scenes where they meet some in parts: opacity micromaps (the twin's
 // scene/micromap.rs). A triangle's tag is its index in the mesh; or, with the flag IN_PARTS, the word among those of
 // the triangles where its micromap begins, with (the index in the mesh, parts along an edge, the bits of its opacity if
-// that is the same all over, else 0, a seed); and, if it is not, a bit per part, 128 in a word.
+// that is the same all over, else 0, a seed); and, if it is not, a bit per part, 128 in a word. The flag MIRRORED with
+// the parts along an edge: the second and the third corner are swapped.
 
 #import fetch
 #import rng
 
 const IN_PARTS: u32 = 0x80000000u;
+const MIRRORED: u32 = 0x80000000u;
 // Columns and rows of parts whose dither is one.
 const BLOCK: u32 = 4u;
 
@@ -28,8 +30,8 @@ fn is_met(tag: u32, u: f32, v: f32, evenly: bool) -> bool {
     if evenly && head.z != 0u {
         return true;
     }
-    let side = head.y;
-    let place = vec2f(u, v) * f32(side);
+    let side = head.y & ~MIRRORED;
+    let place = select(vec2f(u, v), vec2f(v, u), (head.y & MIRRORED) != 0u) * f32(side);
     let row = min(u32(place.y), side - 1u);
     let last = side - 1u - row;
     let column = min(u32(place.x), last);

@@ -37,6 +37,11 @@ impl Document {
         self.materials.len() - 1
     }
 
+    /// Makes a material double-sided.
+    pub fn show_both_sides(&mut self, material: usize) {
+        self.materials[material]["doubleSided"] = true.into();
+    }
+
     /// Adds an 8-bit image with a texture of the same index.
     pub fn image(&mut self, width: usize, height: usize, pixels: Vec<[u8; 3]>) -> usize {
         let raster = texir_core::raster::Raster { width, height, data: pixels };

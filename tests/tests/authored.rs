@@ -9,7 +9,7 @@ use serde_json::json;
 use texir_core::atlas::Atlas;
 use texir_core::authored::{BounceAlbedo, Bounces, Model, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use texir_core::backend::{Backend, Gather};
-use texir_core::bake::{Baked, Denoiser, PADDING, Quality, Texels};
+use texir_core::bake::{Baked, Buried, Denoiser, PADDING, Quality, Texels};
 use texir_core::brdf::Masking;
 use texir_core::checkpoint::Checkpoints;
 use texir_core::cpu::CpuBackend;
@@ -142,30 +142,42 @@ fn a_sky_lights_once_and_bounces_on() {
     assert_eq!((solved.series.len(), solved.remainder), (2, 0.0), "the second bounce is black, and the last");
 }
 
-/// A Cornell box as glTF: open in front, two turned boxes, a lamp under the ceiling. `(document, albedo by material)`.
-fn cornell() -> (Document, [[f32; 3]; 4]) {
+/// A Cornell box as glTF: open in front, two turned boxes, a lamp under the ceiling; every other of its quads
+/// `upside_down`, of double-sided materials but for the lamp's, or all as they should be. `(document, albedo by
+/// material)`.
+fn cornell(upside_down: bool) -> (Document, [[f32; 3]; 4]) {
     const ALBEDO: [[f32; 3]; 4] = [[0.73; 3], [0.65, 0.05, 0.05], [0.12, 0.45, 0.15], [0.0; 3]];
     let mut document = Document::default();
     let [white, red, green, lamp] =
         [0, 1, 2, 3].map(|m| document.material(ALBEDO[m], if m == 3 { [17.0, 12.0, 4.0] } else { [0.0; 3] }));
+    if upside_down {
+        [white, red, green].into_iter().for_each(|material| document.show_both_sides(material));
+    }
+    let mut turns = 0;
+    let mut quad = |[a, b, c, d]: [Vec3; 4], material: usize, place: Mat4| {
+        let may_turn = upside_down && material != lamp;
+        turns += u32::from(may_turn);
+        let corners = if may_turn && turns % 2 == 1 { [a, d, c, b] } else { [a, b, c, d] };
+        document.quad(corners, material, place, &[]);
+    };
     let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
     let (l, r, b, t, n, f) = (-1.0, 1.0, 0.0, 2.0, 1.0, -1.0);
     let here = Mat4::IDENTITY;
-    document.quad([at(l, b, f), at(l, b, n), at(r, b, n), at(r, b, f)], white, here, &[]);
-    document.quad([at(l, t, f), at(r, t, f), at(r, t, n), at(l, t, n)], white, here, &[]);
-    document.quad([at(l, b, f), at(r, b, f), at(r, t, f), at(l, t, f)], white, here, &[]);
-    document.quad([at(l, b, f), at(l, t, f), at(l, t, n), at(l, b, n)], red, here, &[]);
-    document.quad([at(r, b, f), at(r, b, n), at(r, t, n), at(r, t, f)], green, here, &[]);
+    quad([at(l, b, f), at(l, b, n), at(r, b, n), at(r, b, f)], white, here);
+    quad([at(l, t, f), at(r, t, f), at(r, t, n), at(l, t, n)], white, here);
+    quad([at(l, b, f), at(r, b, f), at(r, t, f), at(l, t, f)], white, here);
+    quad([at(l, b, f), at(l, t, f), at(l, t, n), at(l, b, n)], red, here);
+    quad([at(r, b, f), at(r, b, n), at(r, t, n), at(r, t, f)], green, here);
     let (s, y) = (0.3, 1.95);
-    document.quad([at(-s, y, -s), at(s, y, -s), at(s, y, s), at(-s, y, s)], lamp, here, &[]);
+    quad([at(-s, y, -s), at(s, y, -s), at(s, y, s), at(-s, y, s)], lamp, here);
     for (x, z, turn, height) in [(-0.35, -0.3, 0.3, 1.2), (0.35, 0.35, -0.3, 0.6)] {
         let place = Mat4::from_translation(at(x, 0.0, z)) * Mat4::from_rotation_y(turn);
         let place = place * Mat4::from_scale(at(0.6, height, 0.6));
         let h = 0.5;
-        document.quad([at(-h, 1.0, -h), at(-h, 1.0, h), at(h, 1.0, h), at(h, 1.0, -h)], white, place, &[]);
+        quad([at(-h, 1.0, -h), at(-h, 1.0, h), at(h, 1.0, h), at(h, 1.0, -h)], white, place);
         for side in 0..4 {
             let side = place * Mat4::from_rotation_y(side as f32 * std::f32::consts::FRAC_PI_2);
-            document.quad([at(-h, 0.0, h), at(h, 0.0, h), at(h, 1.0, h), at(-h, 1.0, h)], white, side, &[]);
+            quad([at(-h, 0.0, h), at(h, 0.0, h), at(h, 1.0, h), at(-h, 1.0, h)], white, side);
         }
     }
     (document, ALBEDO)
@@ -252,8 +264,24 @@ impl Twin<'_> {
 
 #[test]
 fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
-    let (document, albedo) = cornell();
-    let model = load(&document, 128);
+    let (document, albedo) = cornell(false);
+    lit_as_by_a_path_tracer(&load(&document, 128), albedo);
+}
+
+#[test]
+fn a_cornell_box_of_double_sided_quads_is_lit_whichever_way_these_are_turned() {
+    let (document, albedo) = cornell(true);
+    let mut model = load(&document, 128);
+    let fronts = model.mesh.triangles.clone();
+    let told = model.find_sides(None, &Silent).unwrap().unwrap();
+    assert!(told.contains("the backs of 8 double-sided surfaces"), "{told}");
+    assert_eq!(model.size, model.lightmap_size());
+    assert_eq!(model.mesh.triangles.iter().zip(&fronts).filter(|(turned, front)| turned != front).count(), 16);
+    lit_as_by_a_path_tracer(&model, albedo);
+}
+
+/// Bakes a Cornell box beside the path tracer.
+fn lit_as_by_a_path_tracer(model: &Model, albedo: [[f32; 3]; 4]) {
     let scene = Arc::new(model.scene().unwrap());
     let mut backend = CpuBackend::new(scene.clone());
     let atlas = Atlas::new(&mut backend, model.size).unwrap();
@@ -293,6 +321,83 @@ fn a_cornell_box_is_lit_as_a_path_tracer_lights_it() {
     // Negative control: without the bounces it is darker by far more than the tolerance.
     let direct = solve(&mut backend, &atlas, &surfaces, &Bounces { most: 0, ..bounces });
     assert!(direct.series[0] < 0.9 * solved.series.iter().sum::<f64>());
+}
+
+/// A leaf in the light of two lamps, one on either side, above a floor: of one double-sided quad, or of two that face
+/// opposite ways.
+fn leaf(is_double_sided: bool, emission: [f32; 3]) -> Document {
+    let mut document = Document::default();
+    let [floor, green] =
+        [([0.7, 0.7, 0.7], [0.0; 3]), ([0.3, 0.8, 0.1], emission)].map(|(a, e)| document.material(a, e));
+    document.quad(SQUARE.map(|p| 4.0 * p - Vec3::new(2.0, 0.0, 2.0)), floor, Mat4::IDENTITY, &[]);
+    let place = Mat4::from_translation(0.6 * Vec3::Y) * Mat4::from_rotation_x(0.4);
+    let [a, b, c, d] = SQUARE.map(|p| 1.4 * p - Vec3::new(0.7, 0.0, 0.7));
+    document.quad([a, b, c, d], green, place, &[]);
+    if is_double_sided {
+        document.show_both_sides(green);
+    } else {
+        document.quad([a, d, c, b], green, place, &[]);
+    }
+    for (x, y) in [(0.2, 1.8), (1.5, 0.3)] {
+        let light = json!({ "type": "point", "intensity": 20.0 });
+        document.light(light, Mat4::from_translation(Vec3::new(x, y, 0.1)));
+    }
+    document
+}
+
+/// The mean light on the floor and on the upper side of the leaf.
+fn on_floor_and_leaf(model: &Model) -> [Vec3; 2] {
+    let mut backend = CpuBackend::new(model.scene().unwrap());
+    let atlas = Atlas::new(&mut backend, model.size).unwrap();
+    let texels = Texels::of(&atlas);
+    let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
+    let quality = Quality { gather: Gather::new(64, 64, 1), error: None, denoise: None };
+    let bounces = Bounces { quality, tolerance: 1e-3, most: 16 };
+    let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
+    // The lightmap is cut from the map that was baked.
+    let lightmap = model.lightmap(&solved.solution, &texels, Buried::Keep).unwrap();
+    assert_eq!(lightmap.size(), model.lightmap_size());
+    let mut sums = [(Vec3::ZERO, 0.0); 2];
+    for (point, texel) in atlas.points.iter().zip(&atlas.texels) {
+        let of = point.triangle as usize / 2;
+        if let Some(sum) = sums.get_mut(of).filter(|_| point.normal[1] > 0.0) {
+            *sum = (sum.0 + Vec3::from(lightmap.data[*texel as usize]), sum.1 + 1.0);
+        }
+    }
+    sums.map(|(sum, count)| sum / count)
+}
+
+#[test]
+fn a_double_sided_sheet_is_as_two_that_face_opposite_ways() {
+    for emission in [[0.0; 3], [1.0, 3.0, 8.0]] {
+        let mut one = load(&leaf(true, emission), 96);
+        let alone = on_floor_and_leaf(&one);
+        assert_eq!(one.find_sides(None, &Silent).unwrap(), None);
+        assert_eq!(one.size[1], 2 * one.lightmap_size()[1]);
+        let (both, two) = (on_floor_and_leaf(&one), on_floor_and_leaf(&load(&leaf(false, emission), 96)));
+        for (both, two) in both.iter().zip(&two) {
+            assert!((both / two - 1.0).abs().max_element() < 0.01, "{both} where two sheets have {two}");
+        }
+        // Negative control: from below it would reflect nothing.
+        assert!((alone[0] / two[0] - 1.0).abs().max_element() > 0.03, "{} and {}", alone[0], two[0]);
+    }
+}
+
+#[test]
+fn the_baked_scene_has_the_same_coordinates_whatever_sides_are_baked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.gltf");
+    leaf(true, [0.0; 3]).write(&path);
+    let mut model = read_gltf(&path, 96, BounceAlbedo::Diffuse, &Silent).unwrap();
+    let written = |model: &Model| {
+        let baked = folder.path().join("baked.glb");
+        write_lightmapped_glb(&baked, &path, model, None).unwrap();
+        std::fs::read(baked).unwrap()
+    };
+    let before = written(&model);
+    model.find_sides(None, &Silent).unwrap();
+    assert_eq!(model.mesh.triangles.len(), 6);
+    assert!(written(&model) == before);
 }
 
 /// Corners of a unit square in the ground, facing +Y, and coordinates of a part of the unit square.

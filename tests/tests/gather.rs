@@ -167,11 +167,13 @@ fn light_passes_through_panes_as_if_they_were_not_there() {
 fn triangles_that_rays_meet_in_parts_are_the_same_to_all() {
     let mesh = room().mesh().clone();
     // Holes of many sizes, and translucent triangles, in all that there is: lights, walls, and things before them.
-    let in_parts = |triangle: u32| match [1, 2, 5, 16, 33, 100][triangle as usize % 6] {
-        1 => TriangleOpacity::from_coverage(1, hash(triangle), |_| 0.4),
-        side => {
-            TriangleOpacity::from_coverage(side, hash(triangle), |[[u, v], ..]| if u + v < 0.4 { 1.0 } else { 0.7 * u })
-        }
+    let in_parts = |triangle: u32| {
+        let some = |[[u, v], ..]: [[f32; 2]; 3]| if u + v < 0.4 { 1.0 } else { 0.7 * u };
+        let opacity = match [1, 2, 5, 16, 33, 100][triangle as usize % 6] {
+            1 => TriangleOpacity::from_coverage(1, hash(triangle), |_| 0.4),
+            side => TriangleOpacity::from_coverage(side, hash(triangle), some),
+        };
+        if hash(triangle).is_multiple_of(2) { opacity.mirrored() } else { opacity }
     };
     let scene = Arc::new(Scene::with_opacity(mesh.clone(), in_parts).unwrap());
     assert!(scene.micromaps().len() > mesh.triangles.len() / 2);

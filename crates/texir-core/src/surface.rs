@@ -103,16 +103,6 @@ impl SurfacePoint {
         let position = offset_origin(hit.interpolate(mesh.corners(hit.triangle)), face);
         Self { position: position.to_array(), triangle: hit.triangle, normal: normal.to_array(), index: 0 }
     }
-
-    /// The same place of the surface from its other side.
-    pub fn behind(&self, mesh: &Mesh) -> Self {
-        let normal = Vec3::from(self.normal);
-        let face = mesh.face_normal(self.triangle);
-        let away = if face.dot(normal) < 0.0 { face } else { -face };
-        // Onto the surface, and off it again.
-        let position = offset_origin(offset_origin(self.position.into(), away), away);
-        Self { position: position.to_array(), normal: (-normal).to_array(), ..*self }
-    }
 }
 
 /// Which of the six axis directions a normal is nearest to: +x, −x, +y, −y, +z, −z; of several, the last, as in the

@@ -30,7 +30,7 @@ use crate::pass::shade_vjp::ShadeVjpParams;
 use crate::pass::specular_table::SpecularTableParams;
 use crate::pass::texels::TexelsParams;
 use crate::pass::{WORKGROUP, specular_table};
-use crate::scene::{BvhStorage, IN_PARTS, LightGrid, LightPrimitive, SceneOpacity, TEXTURE_COLUMNS};
+use crate::scene::{BvhStorage, IN_PARTS, LightGrid, LightPrimitive, MIRRORED, SceneOpacity, TEXTURE_COLUMNS};
 use crate::wgsl::{Composed, SHADERS, Variant};
 
 /// Size and named field offsets of a struct; padding has no name.
@@ -237,6 +237,7 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("primary", "TEXTURE_COLUMNS", TEXTURE_COLUMNS.into()),
         ("primary", "WORKGROUP", WORKGROUP as f64),
         ("primary", "IN_PARTS", IN_PARTS.into()),
+        ("primary", "MIRRORED", MIRRORED.into()),
         ("punctual", "MOST_SHEETS", MOST_SHEETS.into()),
         ("primary", "STACK_SIZE", (MAX_LEVELS + 1) as f64),
         ("primary", "BACK_FACE_BIAS", BACK_FACE_BIAS),

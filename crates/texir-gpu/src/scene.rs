@@ -18,6 +18,8 @@ const TEXTURE_PIECE: usize = 32 << 20;
 
 /// As `shared/micromaps.wgsl` has it: of a triangle that rays meet in parts, its tag is where its micromap begins.
 pub(crate) const IN_PARTS: u32 = 1 << 31;
+/// With the number of parts along its edges: its second and third corner are swapped.
+pub(crate) const MIRRORED: u32 = 1 << 31;
 
 /// Where the hierarchy lies on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -149,7 +151,8 @@ fn micromap_words(scene: &Scene, first: usize) -> (Vec<[u32; 4]>, Vec<u32>) {
     for (triangle, micromap) in scene.micromaps() {
         begins.push((first + words.len()) as u32);
         let even = micromap.even_opacity().unwrap_or(0.0).to_bits();
-        words.push([*triangle, micromap.side(), even, micromap.seed()]);
+        let mirrored = if micromap.is_mirrored() { MIRRORED } else { 0 };
+        words.push([*triangle, micromap.side() | mirrored, even, micromap.seed()]);
         words.extend(micromap.words().chunks(4).map(|bits| {
             let mut word = [0; 4];
             word[..bits.len()].copy_from_slice(bits);

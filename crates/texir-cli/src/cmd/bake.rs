@@ -205,7 +205,7 @@ impl Bake {
         session: &Session<'_>,
     ) -> Result<Summary, Failure> {
         let solution = bake::bake_texels(backend, &texels, quality, checkpoints, session.console)?;
-        self.write(&solution, &texels, session)?;
+        self.write(&solution, &texels, texels.size(), session)?;
         let [width, height] = texels.size();
         Ok(Summary {
             output: self.output.clone(),
@@ -244,9 +244,15 @@ impl Bake {
         (!self.no_denoise).then_some(Denoiser::Regression)
     }
 
-    /// Writes the map, and what `--error-map` asks for, some rows at a time.
-    fn write(&self, solution: &BakedTexels, texels: &Texels<'_>, session: &Session<'_>) -> Result<(), Failure> {
-        let (size, scale, console) = (texels.size(), self.profile().scale(), session.console);
+    /// Writes the map, the first rows of all that was baked, and what `--error-map` asks for, some rows at a time.
+    fn write(
+        &self,
+        solution: &BakedTexels,
+        texels: &Texels<'_>,
+        size: [usize; 2],
+        session: &Session<'_>,
+    ) -> Result<(), Failure> {
+        let (scale, console) = (self.profile().scale(), session.console);
         let ends_at_half = self.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ktx2"));
         let task = Task::start(console, "map", (size[0] * size[1]) as u64, "texels");
         let map = ImageRows::new(size, |rows| {

@@ -59,10 +59,12 @@ pub fn write_lightmapped_glb(
         attach(path, &mut builder, irradiance)?;
     }
 
+    // Those of the lightmap, which has some of the rows that are baked.
+    let rows = Vec2::new(1.0, model.size[1] as f32 / model.rows as f32);
     let (mut nodes, mut first) = (Vec::new(), 0);
     for part in &model.parts {
         let material = part.material.map(|index| Index::new(index as u32)).or(default);
-        let lightmap = &model.mesh.uvs[first..first + part.positions.len()];
+        let lightmap = model.mesh.uvs[first..first + part.positions.len()].iter().map(|uv| uv * rows).collect();
         first += part.positions.len();
         // Where the file's own set is the lightmap's, that comes once.
         let displaced = if moved { 1 } else { 2 };
@@ -94,13 +96,13 @@ fn add(
     builder: &mut Builder,
     part: &Part,
     material: Option<Index<Material>>,
-    lightmap: &[Vec2],
+    lightmap: Vec<Vec2>,
     further: &[Vec<Vec2>],
 ) -> Index<Node> {
     let mesh = Mesh {
         positions: part.positions.clone(),
         normals: part.normals.clone(),
-        uvs: lightmap.to_vec(),
+        uvs: lightmap,
         triangles: part.triangles.clone(),
     };
     let mut primitive = builder.primitive(&mesh, &part.uvs[0], further);

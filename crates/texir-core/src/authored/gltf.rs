@@ -20,7 +20,7 @@ use super::shading::{BounceAlbedo, Shading, shading};
 use super::texture::{Colour, Footprint, Images, encoded};
 use crate::atlas::{self, BAND, bands};
 use crate::backend::Backend;
-use crate::bake::{PADDING, Texels};
+use crate::bake::{BakedTexels, Buried, PADDING, Texels};
 use crate::brdf::Masking;
 use crate::environment::Environment;
 use crate::error::{Error, Result};
@@ -29,7 +29,7 @@ use crate::mesh::{Mesh, cross};
 use crate::mesh_io::gltf::{self as geometry, Contents};
 use crate::progress::Progress;
 use crate::punctual::PunctualLight;
-use crate::raster::Rgb;
+use crate::raster::{Raster, Rgb};
 use crate::scene::{Scene, TriangleOpacity};
 use crate::specular_albedo::specular_albedo;
 use crate::surface::{SurfacePoint, TexelHit};
@@ -89,18 +89,43 @@ impl Part {
     }
 }
 
+/// Triangles of a part as they are seen from the side that the lightmap does not hold.
+pub(super) struct OtherSide {
+    /// Index of the part, all of whose vertices come again.
+    pub part: usize,
+    /// Indices into [`Part::triangles`].
+    pub triangles: Vec<u32>,
+}
+
+/// Where a triangle of [`Model::mesh`] comes from.
+#[derive(Clone, Copy)]
+pub(super) struct Face {
+    /// Index of the part.
+    pub part: usize,
+    /// Index into [`Part::triangles`].
+    pub triangle: usize,
+    /// The mesh's index of the part's first vertex.
+    pub first_vertex: u32,
+}
+
 /// A scene as its file describes it, with the coordinates of its lightmap.
 pub struct Model {
-    /// All surfaces in world space, metres, +Y up; `uvs` are the lightmap's.
+    /// All surfaces in world space, metres, +Y up, each from the side that the lightmap holds, then again those whose
+    /// other side matters to its light ([`Model::find_sides`]). `uvs` are those of the map that is baked.
     pub mesh: Mesh,
-    /// Columns and rows of the lightmap.
+    /// Columns and rows of the map that is baked: the lightmap ([`Model::lightmap_size`]), and below it, where there
+    /// are any, the other sides of the surfaces in the same places.
     pub size: [usize; 2],
+    /// Rows of the lightmap.
+    pub(super) rows: usize,
     /// The TEXCOORD of the file that `mesh.uvs` are; `None` where the scene was unwrapped.
     pub(crate) lightmap_set: Option<usize>,
     /// Points, spots and distant lights.
     pub lights: Vec<PunctualLight>,
     /// The primitives, whose vertices and triangles `mesh` holds one after the other.
     pub(crate) parts: Vec<Part>,
+    /// Those that follow them.
+    pub(super) other_sides: Vec<OtherSide>,
     /// By document index, glTF's default material last.
     pub(super) shading: Vec<Shading>,
     pub(super) images: Images,
@@ -170,8 +195,17 @@ pub fn read_gltf(
         .collect::<Result<_>>()?;
     let geometry: u64 = parts.iter().map(|part| part.memory() + size_of_val(&part.uvs[0][..]) as u64).sum();
     check_length(geometry + files.iter().sum::<u64>()).map_err(|what| Error::file(path, what))?;
-    let mut model =
-        Model { mesh: Mesh::default(), size: [size; 2], lightmap_set: None, lights, parts, shading, images };
+    let mut model = Model {
+        mesh: Mesh::default(),
+        size: [size; 2],
+        rows: size,
+        lightmap_set: None,
+        lights,
+        parts,
+        other_sides: Vec::new(),
+        shading,
+        images,
+    };
     let mut told = model.without_coordinates();
     told.extend(model.lay_out(size, progress)?);
     told.extend(model.find_openings());
@@ -184,12 +218,22 @@ pub fn read_gltf(
 impl Model {
     /// The mesh as light meets it. Errors where it passes everywhere, and as [`Scene::check`].
     pub fn scene(&self) -> Result<Scene> {
-        let firsts: Vec<usize> = self.first_triangles().collect();
+        if self.parts.iter().all(|part| part.opacity.is_empty()) {
+            return Scene::new(self.mesh.clone());
+        }
+        let faces = self.faces();
         Scene::with_opacity(self.mesh.clone(), |triangle| {
-            let part = firsts.partition_point(|first| *first <= triangle as usize) - 1;
-            let of_part = self.parts[part].opacity.get(triangle as usize - firsts[part]);
-            of_part.cloned().unwrap_or(TriangleOpacity::Opaque)
+            let face = faces[triangle as usize];
+            let part = &self.parts[face.part];
+            let opacity = part.opacity.get(face.triangle).cloned().unwrap_or(TriangleOpacity::Opaque);
+            let is_turned = self.corners(triangle as usize, face) != part.triangles[face.triangle];
+            if is_turned { opacity.mirrored() } else { opacity }
         })
+    }
+
+    /// Columns and rows of the lightmap.
+    pub fn lightmap_size(&self) -> [usize; 2] {
+        [self.size[0], self.rows]
     }
 
     /// Bytes of the images that its materials are looked up in, and of its geometry, which it has as a whole and in
@@ -200,12 +244,20 @@ impl Model {
             + size_of_val(&normals[..])
             + size_of_val(&uvs[..])
             + size_of_val(&triangles[..]);
+        let others: usize = self.other_sides.iter().map(|other| size_of_val(&other.triangles[..])).sum();
         self.images.memory()
-            + whole as u64
+            + (whole + others) as u64
             + self.parts.iter().map(|part| part.memory() + 2 * part.memory_of_opacity()).sum::<u64>()
     }
 
-    /// What the scene emits and reflects at the texels of its lightmap: the mean over each.
+    /// The lightmap, of what was solved at the texels of the map that was baked.
+    pub fn lightmap(&self, solution: &BakedTexels, texels: &Texels<'_>, buried: Buried) -> Result<Rgb> {
+        let [width, height] = self.lightmap_size();
+        let rows = bands(width, height, BAND).map(|rows| solution.map_rows(texels, buried, rows));
+        Raster::new(width, height, rows.collect::<Result<Vec<_>>>()?.concat())
+    }
+
+    /// What the scene emits and reflects at the texels of the map that is baked: the mean over each.
     pub fn surfaces(
         &self,
         backend: &mut dyn Backend,
@@ -215,7 +267,7 @@ impl Model {
         let [width, height] = texels.size();
         let columns = LOOKUPS * width;
         let cells = Vec2::new(columns as f32, (LOOKUPS * height) as f32);
-        let materials = self.materials();
+        let faces = self.faces();
         let [mut albedo, mut emission] = [(); 2].map(|()| Rgb::filled(width, height, [0.0; 3]));
         let mut filled = vec![false; width * height];
         // A band takes all triangles in hand, and has this many lookups at a texel.
@@ -228,7 +280,7 @@ impl Model {
                     (0..LOOKUPS * LOOKUPS).map(|k| (LOOKUPS * y + k / LOOKUPS) * columns + LOOKUPS * x + k % LOOKUPS);
                 let found: Vec<&TexelHit> = points.filter_map(|i| hits[i].as_ref()).collect();
                 let sum = found.iter().fold([Vec3::ZERO; 2], |sum, hit| {
-                    let at = self.over(hit, cells, materials[hit.triangle as usize]);
+                    let at = self.over(hit, cells, faces[hit.triangle as usize]);
                     [sum[0] + at[0], sum[1] + at[1]]
                 });
                 sum.map(|sum| (sum / found.len().max(1) as f32).to_array())
@@ -303,37 +355,36 @@ impl Model {
         self.shading[self.shading_of(part)].double_sided
     }
 
-    /// The index of every part's first triangle.
-    pub(super) fn first_triangles(&self) -> impl Iterator<Item = usize> {
-        self.parts.iter().scan(0, |next, part| {
-            let first = *next;
-            *next += part.triangles.len();
-            Some(first)
-        })
-    }
-
     /// The place of a part's material in `shading`.
     pub(super) fn shading_of(&self, part: &Part) -> usize {
         part.shading(self.shading.len())
     }
 
-    /// Per triangle of the mesh: the place in `shading`, and the part with its first vertex.
-    fn materials(&self) -> Vec<(usize, usize, u32)> {
-        let (mut all, mut first) = (Vec::with_capacity(self.mesh.triangles.len()), 0);
-        for (i, part) in self.parts.iter().enumerate() {
-            all.extend(std::iter::repeat_n((self.shading_of(part), i, first), part.triangles.len()));
-            first += part.positions.len() as u32;
-        }
+    /// Per triangle of the mesh: where it comes from.
+    pub(super) fn faces(&self) -> Vec<Face> {
+        let (mut all, mut first_vertex) = (Vec::with_capacity(self.mesh.triangles.len()), 0);
+        let mut add = |part: usize, triangles: &mut dyn Iterator<Item = usize>| {
+            all.extend(triangles.map(|triangle| Face { part, triangle, first_vertex }));
+            first_vertex += self.parts[part].positions.len() as u32;
+        };
+        (0..self.parts.len()).for_each(|part| add(part, &mut (0..self.parts[part].triangles.len())));
+        let others = self.other_sides.iter();
+        others.for_each(|other| add(other.part, &mut other.triangles.iter().map(|&triangle| triangle as usize)));
         all
     }
 
+    /// The vertices of a triangle of the mesh among those of its part.
+    fn corners(&self, triangle: usize, face: Face) -> [u32; 3] {
+        self.mesh.triangles[triangle].map(|vertex| vertex - face.first_vertex)
+    }
+
     /// Albedo and emission, the mean over the cell around a hit, of a map of so many `cells`.
-    fn over(&self, hit: &TexelHit, cells: Vec2, (shading, part, first): (usize, usize, u32)) -> [Vec3; 2] {
+    fn over(&self, hit: &TexelHit, cells: Vec2, face: Face) -> [Vec3; 2] {
         let footprint = Footprint::new(hit, self.mesh.corner_uvs(hit.triangle).map(|uv| uv * cells));
-        let corners = self.mesh.triangles[hit.triangle as usize].map(|i| (i - first) as usize);
-        let of_set = |set: usize| self.parts[part].uvs.get(set).map(|uvs| corners.map(|i| uvs[i]));
+        let (part, corners) = (&self.parts[face.part], self.corners(hit.triangle as usize, face));
+        let of_set = |set: usize| part.uvs.get(set).map(|uvs| corners.map(|i| uvs[i as usize]));
         let of = |colour: &Colour| colour.over(&footprint, of_set, &self.images);
-        let Shading { albedo, emission, metallic_roughness, .. } = &self.shading[shading];
+        let Shading { albedo, emission, metallic_roughness, .. } = &self.shading[self.shading_of(part)];
         let specular = metallic_roughness.as_ref().map_or(0.0, |metallic_roughness| {
             let Vec3 { y: roughness, z: metallic, .. } = of(metallic_roughness);
             specular_albedo(Masking::Smith, roughness) * (1.0 - metallic)

@@ -50,6 +50,7 @@ impl Model {
             ))
         })?;
         self.size = unwrapped.size;
+        self.rows = unwrapped.size[1];
         for (part, new) in self.parts.iter_mut().zip(&unwrapped.surfaces) {
             let from = |values: &[Vec3]| new.source.iter().map(|&i| values[i as usize]).collect();
             (part.positions, part.normals) = (from(&part.positions), from(&part.normals));

@@ -24,9 +24,13 @@ mod opacity;
 #[cfg(feature = "files")]
 mod openings;
 mod punctual;
+#[cfg(feature = "files")]
+mod reach;
 mod series;
 #[cfg(feature = "files")]
 mod shading;
+#[cfg(feature = "files")]
+mod sides;
 mod solve;
 #[cfg(all(test, feature = "files"))]
 mod tests;
@@ -34,8 +38,6 @@ mod tests;
 mod texture;
 #[cfg(feature = "files")]
 mod unfinished;
-#[cfg(feature = "files")]
-mod unlit;
 
 #[cfg(feature = "files")]
 pub use self::export::write_lightmapped_glb;
@@ -47,8 +49,6 @@ pub use self::shading::BounceAlbedo;
 pub use self::solve::{Bounces, Solved, irradiance};
 #[cfg(feature = "files")]
 pub use self::unfinished::BounceLimit;
-#[cfg(feature = "files")]
-pub use self::unlit::unlit;
 use crate::backend::{Backend, MAX_RADIANCE, check};
 use crate::bake::{self, Quality, Texels};
 use crate::environment::Environment;

@@ -3,7 +3,7 @@
 use glam::Vec2;
 use rayon::prelude::*;
 
-use super::gltf::Model;
+use super::gltf::{Face, Model};
 use super::opacity::{Cover, Opacity, longest};
 use crate::error::listed;
 use crate::rng::hash2;
@@ -16,34 +16,31 @@ impl Model {
     /// Tells what rays meet of every part's triangles, and the user where they go through. The mesh must have the
     /// lightmap's coordinates.
     pub(super) fn find_openings(&mut self) -> Option<String> {
-        let firsts: Vec<usize> = self.first_triangles().collect();
         let opacity_of = |part: usize| -> &Opacity { &self.shading[self.shading_of(&self.parts[part])].opacity };
-        let places: Vec<(usize, usize)> = (0..self.parts.len())
-            .filter(|&part| !opacity_of(part).is_opaque())
-            .flat_map(|part| (0..self.parts[part].triangles.len()).map(move |triangle| (part, triangle)))
-            .collect();
+        let places: Vec<(u32, Face)> =
+            (0..).zip(self.faces()).filter(|(_, face)| !opacity_of(face.part).is_opaque()).collect();
         let size = Vec2::new(self.size[0] as f32, self.size[1] as f32);
-        let cover = |&(part, triangle): &(usize, usize)| {
+        let cover = |&(on_mesh, Face { part, triangle, .. }): &(u32, Face)| {
             let (uvs, corners) = (&self.parts[part].uvs, self.parts[part].triangles[triangle]);
             let of_set = move |set: usize| uvs.get(set).map(|uvs| corners.map(|i| uvs[i as usize])).unwrap_or_default();
-            let on_map = self.mesh.corner_uvs((firsts[part] + triangle) as u32).map(|uv| uv * size);
+            let on_map = self.mesh.corner_uvs(on_mesh).map(|uv| uv * size);
             Cover { corners: of_set, texels: longest(on_map) }
         };
         let sides: Vec<u32> =
-            places.par_iter().map(|place| opacity_of(place.0).side(&cover(place), &self.images)).collect();
+            places.par_iter().map(|place| opacity_of(place.1.part).side(&cover(place), &self.images)).collect();
         let parts: f64 = sides.iter().map(|&side| f64::from(side).powi(2)).sum();
         let coarser = (MOST_PARTS / parts).sqrt().min(1.0);
         let opacity: Vec<TriangleOpacity> = places
             .par_iter()
             .zip(sides)
-            .map(|(place @ (part, triangle), side)| {
+            .map(|(place @ (_, Face { part, triangle, .. }), side)| {
                 let side = (f64::from(side) * coarser).ceil() as u32;
                 let seed = hash2(*triangle as u32, *part as u32);
                 opacity_of(*part).over(&cover(place), (side, seed), &self.images)
             })
             .collect();
-        for ((part, _), opacity) in places.into_iter().zip(opacity) {
-            self.parts[part].opacity.push(opacity);
+        for ((_, face), opacity) in places.into_iter().zip(opacity) {
+            self.parts[face.part].opacity.push(opacity);
         }
         let mut open = Vec::new();
         for part in &mut self.parts {

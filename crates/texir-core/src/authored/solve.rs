@@ -23,7 +23,7 @@ use crate::rng::hash2;
 const FEWEST_RAYS: f64 = 1.0 / 16.0;
 
 /// Below this share of the scene's mean irradiance there is as good as no light: a crack lets as much through.
-pub(super) const DARK: f32 = 0.01;
+const DARK: f32 = 0.01;
 
 /// When to stop bouncing, and how to gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -159,14 +159,14 @@ impl Solver<'_> {
 }
 
 /// Finds lights in a map of radiance.
-pub(super) fn finder<'a>(backend: &'a dyn Backend, texels: &Texels<'_>, tbl: &'a Rgb) -> Result<Finder<'a>> {
+fn finder<'a>(backend: &'a dyn Backend, texels: &Texels<'_>, tbl: &'a Rgb) -> Result<Finder<'a>> {
     let mut finder = Finder::new(backend.scene(), tbl, texels.valid());
     texels.points().try_for_each(|points| points.and_then(|points| finder.take(&points)))?;
     Ok(finder)
 }
 
 /// Outgoing radiance of Lambertian surfaces: albedo/π · E, of which `irradiance` tells some rows.
-pub(super) fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Result<Vec<[f32; 3]>>) -> Result<Rgb> {
+fn reflected(albedo: &Rgb, irradiance: impl Fn(Range<usize>) -> Result<Vec<[f32; 3]>>) -> Result<Rgb> {
     let mut sent = Rgb { width: albedo.width, height: albedo.height, data: Vec::with_capacity(albedo.data.len()) };
     for rows in bands(albedo.width, albedo.height, BAND) {
         let albedo = &albedo.data[rows.start * albedo.width..];

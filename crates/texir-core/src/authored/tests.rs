@@ -9,12 +9,13 @@ use gltf::binary::Glb;
 use serde_json::{Value, json};
 
 use super::BounceLimit::{Bound, Wanted};
-use super::{BounceAlbedo, BounceLimit, Bounces, Model, Surfaces, irradiance, read_gltf, unlit, write_lightmapped_glb};
+use super::{BounceAlbedo, BounceLimit, Bounces, Model, Surfaces, irradiance, read_gltf, write_lightmapped_glb};
 use crate::backend::{Backend, Gather};
 use crate::bake::{Quality, Texels, Workspace};
 use crate::capture::tests::Warnings;
 use crate::checkpoint::Checkpoints;
 use crate::cpu::CpuBackend;
+use crate::environment::Environment;
 use crate::image_io::encode_png;
 use crate::progress::Silent;
 use crate::punctual::PunctualLight;
@@ -319,18 +320,19 @@ fn over() -> Mat4 {
     about(Vec3::new(0.5, 0.0, 0.5), Mat4::from_rotation_x(std::f32::consts::PI))
 }
 
-/// What users are told of a scene after at most so many bounces, which were asked for or not: of bounces, and of light
-/// that does not arrive.
+/// What users are told of a scene after at most so many bounces, which were asked for or not: of bounces, and of sides
+/// and light that does not arrive.
 fn told(source: PathBuf, most: u32, limit: BounceLimit) -> [Option<String>; 2] {
-    let model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
+    let mut model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
+    let sides = model.find_sides(None, &Silent).unwrap();
     let mut backend = CpuBackend::new(model.scene().unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 0, 1), error: None, denoise: None };
     let bounces = Bounces { quality, tolerance: 0.005, most };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
-    let unlit = unlit(&mut backend, &model, &texels, &surfaces, &solved.solution, &Silent).unwrap();
-    [solved.unfinished(&model, bounces.tolerance, limit), unlit.into_iter().reduce(|a, b| format!("{a}\n{b}"))]
+    let unlit = sides.into_iter().chain(solved.unlit()).reduce(|a, b| format!("{a}\n{b}"));
+    [solved.unfinished(&model, bounces.tolerance, limit), unlit]
 }
 
 #[test]
@@ -419,7 +421,7 @@ fn primitives_that_lack_their_textures_coordinates_are_told() {
 }
 
 #[test]
-fn fronts_without_light_are_told_where_their_backs_have_it() {
+fn the_lightmap_holds_backs_where_light_reaches_these_alone() {
     let material = |double_sided: bool| {
         let base = json!({ "baseColorFactor": [0.5, 0.5, 0.5, 1.0] });
         Some(json!({ "pbrMetallicRoughness": base, "doubleSided": double_sided }))
@@ -434,25 +436,58 @@ fn fronts_without_light_are_told_where_their_backs_have_it() {
     // The second square lies a metre above the first, and faces up.
     let ceiling = |turn: Mat4| (1, Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y));
     let upside_down = told(&[floor, ceiling(Mat4::IDENTITY)], within, true).unwrap();
-    assert!(
-        upside_down.starts_with("double-sided surfaces (1)") && upside_down.contains("\"node 1\""),
-        "{upside_down}"
-    );
-    assert!(!upside_down.contains("node 0"), "{upside_down}");
+    assert!(upside_down.contains("the backs of 1 double-sided surfaces"), "{upside_down}");
+    assert!(upside_down.contains("\"node 1\"") && !upside_down.contains("node 0"), "{upside_down}");
     // Negative controls: it is seen from its front alone, it faces down, it is lit where it faces.
     assert_eq!(told(&[floor, ceiling(Mat4::IDENTITY)], within, false), None);
     assert_eq!(told(&[floor, ceiling(over())], within, true), None);
     assert_eq!(told(&[floor, ceiling(Mat4::IDENTITY)], above, true), None);
-    // Rooms and solid things are dark on some of their fronts, but nobody looks from inside of the latter.
+    // Rooms and solid things are dark on some of their sides, but nobody looks from inside of the latter.
     let room: Vec<_> = sides().map(|side| (0, side)).collect();
     assert_eq!(told(&room, within, true), None);
     let cube: Vec<_> = sides().map(|side| (0, side * over())).collect();
     assert_eq!(told(&cube, above, true), None);
     // A room that is inside out.
-    for double_sided in [false, true] {
-        let black = told(&cube, within, double_sided).unwrap();
-        assert!(black.contains("no light arrives at any surface"), "{black}");
-    }
+    let black = told(&cube, within, false).unwrap();
+    assert!(black.contains("no light arrives at any surface"), "{black}");
+    let turned = told(&cube, within, true).unwrap();
+    assert!(turned.contains("the backs of 6 double-sided") && !turned.contains("no light"), "{turned}");
+}
+
+/// How often the rows of the lightmap are baked of squares under a sky, where sides were looked for: twice if others are
+/// needed.
+fn sides_baked(placed: &[(usize, Mat4)], materials: Vec<Option<Value>>, sky: f32) -> usize {
+    let folder = tempfile::tempdir().unwrap();
+    let source = write_lit(folder.path(), placed, Vec3::new(0.4, 90.0, 0.6), materials);
+    let mut model = read_gltf(source, 32, BounceAlbedo::Diffuse, &Silent).unwrap();
+    model.lights.clear();
+    model.find_sides(Some(&Environment::constant([sky; 3]).unwrap()), &Silent).unwrap();
+    assert_eq!(model.lightmap_size()[0], model.size[0]);
+    model.size[1] / model.lightmap_size()[1]
+}
+
+#[test]
+fn other_sides_are_baked_where_they_are_lit_and_seen() {
+    let sheet = || Some(json!({ "doubleSided": true }));
+    let glowing = || Some(json!({ "doubleSided": true, "emissiveFactor": [1.0, 1.0, 1.0] }));
+    let (floor, above) = ((0, Mat4::IDENTITY), Mat4::from_translation(Vec3::Y));
+    assert_eq!(sides_baked(&[floor, (1, above)], vec![None, sheet()], 1.0), 2);
+    // Negative controls: it has one side; nobody sees the other; there is no light.
+    assert_eq!(sides_baked(&[floor, (1, above)], vec![None, None], 1.0), 1);
+    assert_eq!(sides_baked(&[(1, above)], vec![None, sheet()], 1.0), 1);
+    assert_eq!(sides_baked(&[floor, (1, above)], vec![None, sheet()], 0.0), 1);
+    // Something solid, and the same without a lid, in which a square lies.
+    let solid = |open: usize| -> Vec<(usize, Mat4)> {
+        let within = Mat4::from_scale_rotation_translation(Vec3::splat(0.5), Default::default(), Vec3::splat(0.2));
+        let lower = over() * Mat4::from_translation(Vec3::NEG_Y);
+        sides().skip(open).map(|side| (1, side * lower)).chain([(0, within)]).collect()
+    };
+    assert_eq!(sides_baked(&solid(0), vec![None, sheet()], 1.0), 1);
+    assert_eq!(sides_baked(&solid(1), vec![None, sheet()], 1.0), 2);
+    // A panel that shines up at a ceiling, and on what is below it, if there is anything.
+    let (panel, ceiling) = ((1, Mat4::IDENTITY), (0, Mat4::from_translation(2.0 * Vec3::Y) * over()));
+    assert_eq!(sides_baked(&[floor, panel, ceiling], vec![None, glowing()], 0.0), 2);
+    assert_eq!(sides_baked(&[panel, ceiling], vec![None, glowing()], 0.0), 1);
 }
 
 #[test]
@@ -466,14 +501,16 @@ fn what_is_lit_under_a_roof_of_one_sheet_is_not_inside_of_something() {
 }
 
 /// Visits the irradiance of a model's texels, baked with few rays and so many bounces.
-fn each_baked(model: &Model, most: u32, visit: impl FnMut(&SurfacePoint, [f32; 3], bool)) {
+fn each_baked(model: &Model, most: u32, mut visit: impl FnMut(&SurfacePoint, [f32; 3])) {
     let mut backend = CpuBackend::new(model.scene().unwrap());
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
     let bounces = Bounces { quality, tolerance: 0.0, most };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
-    solved.solution.each(&texels, visit).unwrap();
+    let baked = solved.solution.into_baked().unwrap();
+    let points = texels.points().flat_map(|points| points.unwrap().into_owned());
+    points.zip(baked.irradiance).for_each(|(point, e)| visit(&point, e));
 }
 
 /// The mean irradiance of a floor under a lamp, where `roof` is between both: a sheet of a material, wider than it is
@@ -488,7 +525,7 @@ fn under_a_roof(roof: Mat4, material: Option<Value>) -> f32 {
     // The floor has the mesh's first two triangles.
     let (mut sum, mut count) = (0.0, 0);
     let of_floor = |point: &SurfacePoint| point.triangle < 2;
-    each_baked(&model, 2, |point, e, _| {
+    each_baked(&model, 2, |point, e| {
         if of_floor(point) {
             (sum, count) = (sum + e[0], count + 1)
         }
@@ -646,7 +683,7 @@ fn cut_outs_cast_the_shadow_of_what_is_there() {
     std::fs::write(&source, document.to_string()).unwrap();
     let model = read_gltf(source, 64, BounceAlbedo::Diffuse, &Silent).unwrap();
     let mut seen = [0; 2];
-    let look = |point: &SurfacePoint, e: [f32; 3], _: bool| {
+    let look = |point: &SurfacePoint, e: [f32; 3]| {
         let ([x, ..], floor) = (point.position, point.triangle < 2);
         if floor && (x - 0.5).abs() > 0.05 {
             let expected = if x < 0.5 { 0.0 } else { 4.0 };
@@ -656,24 +693,6 @@ fn cut_outs_cast_the_shadow_of_what_is_there() {
     };
     each_baked(&model, 0, look);
     assert!(seen.iter().all(|count| *count > 50), "{seen:?}");
-}
-
-#[test]
-fn double_sided_panels_that_shine_away_from_what_is_lit_are_told() {
-    let told = |double_sided: bool, turn: Mat4| {
-        let folder = tempfile::tempdir().unwrap();
-        let glow = json!({ "emissiveFactor": [1.0, 1.0, 1.0], "doubleSided": double_sided });
-        let panel = Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y);
-        let placed = [(0, Mat4::IDENTITY), (1, panel)];
-        let [_, unlit] = told(write_lit(folder.path(), &placed, Vec3::splat(0.5), vec![None, Some(glow)]), 2, Wanted);
-        unlit
-    };
-    let up = told(true, Mat4::IDENTITY).unwrap();
-    assert!(up.starts_with("double-sided surfaces (1) shine from their fronts alone") && up.contains("node 1"), "{up}");
-    assert!(!up.contains("so that they are black"), "{up}");
-    // Negative controls: it has one side, it shines down.
-    assert_eq!(told(false, Mat4::IDENTITY), None);
-    assert_eq!(told(true, over()), None);
 }
 
 #[test]

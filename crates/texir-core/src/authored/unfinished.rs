@@ -1,4 +1,4 @@
-//! What to tell the user where bounces ended too early.
+//! What to tell the user where bounces ended too early, and where no light arrived.
 
 use super::{Model, Remainder, Solved};
 use crate::error::listed;
@@ -52,6 +52,18 @@ impl Solved {
         Some(format!(
             "{bounces} bounces leave out {share}, where the tolerance (--tolerance) is {tolerance}: allow more bounces (--bounces){reason}"
         ))
+    }
+}
+
+impl Solved {
+    /// What to tell the user where all is black.
+    pub fn unlit(&self) -> Option<String> {
+        self.series.iter().all(|mean| *mean == 0.0).then(|| {
+            "no light arrives at any surface, and the map is black: only the front of a face is lit, from where its corners run \
+             counter-clockwise, unless its material is doubleSided; turn faces that are seen from behind around, and check where the \
+             lights are"
+                .to_owned()
+        })
     }
 }
 

@@ -10,7 +10,6 @@ use super::{Baked, Buried, PADDING};
 use crate::atlas::{BAND, bands};
 use crate::error::{Error, Result};
 use crate::raster::{Raster, Rgb};
-use crate::surface::SurfacePoint;
 
 /// A [`Baked`] that lies where its [`Texels`] do.
 #[derive(Debug)]
@@ -64,18 +63,6 @@ impl BakedTexels {
     /// How many texels lie inside other geometry.
     pub fn buried(&self) -> Result<usize> {
         self.outside.pieces(PIECE).map(|outside| Ok(outside?.iter().filter(|outside| **outside == 0).count())).sum()
-    }
-
-    /// Goes through all texels: their points, irradiance, and whether they lie outside other geometry.
-    pub(crate) fn each(&self, texels: &Texels<'_>, mut visit: impl FnMut(&SurfacePoint, [f32; 3], bool)) -> Result<()> {
-        for items in texels.pieces() {
-            let (points, irradiance) = (texels.points.get(&items)?, self.irradiance.get(&items)?);
-            let outside = self.outside.get(&items)?;
-            for ((point, irradiance), outside) in points.iter().zip(irradiance.iter()).zip(outside.iter()) {
-                visit(point, *irradiance, *outside != 0);
-            }
-        }
-        Ok(())
     }
 
     /// All of it, in memory.

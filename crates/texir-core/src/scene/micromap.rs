@@ -27,6 +27,8 @@ pub enum TriangleOpacity {
 pub struct Micromap {
     side: u32,
     parts: Parts,
+    /// Whether the triangle's second and third corner are the other way round than when its parts were told.
+    is_mirrored: bool,
 }
 
 /// Which parts are there.
@@ -65,12 +67,21 @@ impl TriangleOpacity {
         }
         if least == most && most > 0.0 && most < 1.0 {
             let parts = Parts::Even { opacity: most.to_bits(), seed };
-            return Self::Micromap(Micromap { side: Micromap::MAX_SIDE, parts });
+            return Self::Micromap(Micromap { side: Micromap::MAX_SIDE, parts, is_mirrored: false });
         }
         match set {
             0 => Self::Transparent,
             set if set == count => Self::Opaque,
-            _ => Self::Micromap(Micromap { side, parts: Parts::Listed(words.into()) }),
+            _ => Self::Micromap(Micromap { side, parts: Parts::Listed(words.into()), is_mirrored: false }),
+        }
+    }
+
+    /// That of the same triangle with its second and third corner swapped, so that it faces the other way.
+    #[must_use]
+    pub fn mirrored(self) -> Self {
+        match self {
+            Self::Micromap(micromap) => Self::Micromap(Micromap { is_mirrored: !micromap.is_mirrored, ..micromap }),
+            plain => plain,
         }
     }
 }
@@ -109,8 +120,14 @@ impl Micromap {
         }
     }
 
+    /// Whether its parts are looked up with barycentric coordinates swapped: see [`TriangleOpacity::mirrored`].
+    pub fn is_mirrored(&self) -> bool {
+        self.is_mirrored
+    }
+
     /// Whether rays meet the part at barycentric coordinates.
     pub(super) fn is_opaque(&self, u: f32, v: f32) -> bool {
+        let (u, v) = if self.is_mirrored { (v, u) } else { (u, v) };
         let cells = self.side as f32;
         let (x, y) = (u * cells, v * cells);
         let row = (y as u32).min(self.side - 1);
@@ -188,6 +205,23 @@ mod tests {
             for [u, v] in [[1.0, 0.0], [0.0, 1.0], [0.5, 0.500_000_1], [1.0, 1.0]] {
                 map.is_opaque(u, v);
             }
+        }
+    }
+
+    #[test]
+    fn a_mirrored_triangle_is_there_where_it_was() {
+        let ramp = |[[u, v], ..]: [[f32; 2]; 3]| 0.9 * u + 0.2 * v;
+        for opacity in [TriangleOpacity::from_coverage(13, 5, ramp), TriangleOpacity::from_coverage(13, 5, |_| 0.4)] {
+            let [TriangleOpacity::Micromap(map), TriangleOpacity::Micromap(mirrored)] =
+                [opacity.clone(), opacity.clone().mirrored()]
+            else {
+                panic!("{opacity:?} is all or nothing");
+            };
+            let places = || parts(50).map(|part| within(corners(50, part), [0.3, 0.3]));
+            assert!(places().all(|[u, v]| mirrored.is_opaque(v, u) == map.is_opaque(u, v)));
+            // Negative control: its parts do lie otherwise.
+            assert!(places().any(|[u, v]| mirrored.is_opaque(u, v) != map.is_opaque(u, v)));
+            assert_eq!(opacity.clone().mirrored().mirrored(), opacity);
         }
     }
 

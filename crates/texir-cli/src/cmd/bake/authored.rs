@@ -75,6 +75,7 @@ struct Summary {
     scene: PathBuf,
     width: usize,
     height: usize,
+    /// Texels that were baked, other sides of surfaces included.
     texels: usize,
     /// Texels inside other geometry.
     buried: usize,
@@ -95,15 +96,20 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     check_outputs(&[&bake.output.with_extension("glb")], read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
     let reflected = if options.specular { BounceAlbedo::DiffuseAndSpecular } else { BounceAlbedo::Diffuse };
-    let model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
-    let [width, height] = model.size;
-    let workspace = match bake.max_memory {
+    let mut model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
+    let workspace = |model: &Model| match bake.max_memory {
         Some(limit) => {
             let materials = model.memory() + environment.as_ref().map_or(0, Environment::memory);
-            bounce_workspace_within(limit, &bake.partial(), &model.mesh, materials, model.size)?
+            bounce_workspace_within(limit, &bake.partial(), &model.mesh, materials, model.size)
         }
-        None => Workspace::Memory,
+        None => Ok(Workspace::Memory),
     };
+    // Before it is traced for the first time.
+    workspace(&model)?;
+    let told = model.find_sides(environment.as_ref(), session.console).context(bake.input.display())?;
+    told.iter().for_each(|what| session.console.warn(&format!("{}: {what}", bake.input.display())));
+    let workspace = workspace(&model)?;
+    let [width, height] = model.lightmap_size();
     let scene = model.scene().context(bake.input.display())?;
     let mut backend = device::open(scene, session)?;
     let (texels, surfaces) =
@@ -158,19 +164,18 @@ fn bake_texels(
     let solved = authored::irradiance(backend, &texels, &surfaces, &bounces, checkpoints, console)?;
     let limit = if options.bounces.is_some() { BounceLimit::Wanted } else { BounceLimit::Bound };
     let unfinished = solved.unfinished(model, bounces.tolerance, limit);
-    let unlit = authored::unlit(backend, model, &texels, &surfaces, &solved.solution, console)?;
-    for warning in unfinished.iter().chain(&unlit) {
+    for warning in unfinished.iter().chain(&solved.unlit()) {
         console.warn(&format!("{}: {warning}", bake.input.display()));
     }
     drop(surfaces);
-    bake.write(&solved.solution, &texels, session)?;
+    bake.write(&solved.solution, &texels, model.lightmap_size(), session)?;
     let attached = match bake.profile() {
-        moz @ Profile::Moz => Some(moz.lightmap(&solved.solution.map(&texels, bake.buried())?)),
+        moz @ Profile::Moz => Some(moz.lightmap(&model.lightmap(&solved.solution, &texels, bake.buried())?)),
         _ => None,
     };
     let scene = bake.output.with_extension("glb");
     write_lightmapped_glb(&scene, &bake.input, model, attached.as_ref())?;
-    let [width, height] = model.size;
+    let [width, height] = model.lightmap_size();
     Ok(Summary {
         output: bake.output.clone(),
         scene,
