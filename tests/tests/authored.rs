@@ -274,7 +274,7 @@ fn a_cornell_box_of_double_sided_quads_is_lit_whichever_way_these_are_turned() {
     let mut model = load(&document, 128);
     let fronts = model.mesh.triangles.clone();
     let told = model.find_sides(None, &Silent).unwrap().unwrap();
-    assert!(told.contains("the backs of 8 double-sided surfaces"), "{told}");
+    assert!(told.contains("in 8 primitives"), "{told}");
     assert_eq!(model.size, model.lightmap_size());
     assert_eq!(model.mesh.triangles.iter().zip(&fronts).filter(|(turned, front)| turned != front).count(), 16);
     lit_as_by_a_path_tracer(&model, albedo);

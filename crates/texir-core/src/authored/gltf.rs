@@ -381,15 +381,26 @@ impl Model {
     /// Albedo and emission, the mean over the cell around a hit, of a map of so many `cells`.
     fn over(&self, hit: &TexelHit, cells: Vec2, face: Face) -> [Vec3; 2] {
         let footprint = Footprint::new(hit, self.mesh.corner_uvs(hit.triangle).map(|uv| uv * cells));
-        let (part, corners) = (&self.parts[face.part], self.corners(hit.triangle as usize, face));
-        let of_set = |set: usize| part.uvs.get(set).map(|uvs| corners.map(|i| uvs[i as usize]));
-        let of = |colour: &Colour| colour.over(&footprint, of_set, &self.images);
+        let of = |colour: &Colour| self.mean(colour, &footprint, hit.triangle, face);
+        let part = &self.parts[face.part];
         let Shading { albedo, emission, metallic_roughness, .. } = &self.shading[self.shading_of(part)];
         let specular = metallic_roughness.as_ref().map_or(0.0, |metallic_roughness| {
             let Vec3 { y: roughness, z: metallic, .. } = of(metallic_roughness);
             specular_albedo(Masking::Smith, roughness) * (1.0 - metallic)
         });
         [(of(albedo) + specular).clamp(Vec3::ZERO, Vec3::ONE), of(emission)]
+    }
+
+    /// What a triangle of the mesh emits, on average.
+    pub(super) fn emission(&self, triangle: u32, face: Face) -> Vec3 {
+        let emission = &self.shading[self.shading_of(&self.parts[face.part])].emission;
+        self.mean(emission, &Footprint::whole(), triangle, face)
+    }
+
+    /// The mean of a colour over a footprint on a triangle of the mesh.
+    fn mean(&self, colour: &Colour, footprint: &Footprint, triangle: u32, face: Face) -> Vec3 {
+        let (uvs, corners) = (&self.parts[face.part].uvs, self.corners(triangle as usize, face));
+        colour.over(footprint, |set| uvs.get(set).map(|uvs| corners.map(|i| uvs[i as usize])), &self.images)
     }
 }
 

@@ -30,6 +30,8 @@ mod series;
 #[cfg(feature = "files")]
 mod shading;
 #[cfg(feature = "files")]
+mod shells;
+#[cfg(feature = "files")]
 mod sides;
 mod solve;
 #[cfg(all(test, feature = "files"))]

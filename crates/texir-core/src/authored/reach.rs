@@ -1,5 +1,7 @@
 //! Where light arrives at all, however weak: random walks that ask for lamps at every place that they come to.
 
+use glam::Vec3;
+
 use crate::cpu::project::CLEAR_SHARE;
 use crate::cpu::punctual::punctual;
 use crate::cpu::sampling::{Frame, cosine_direction};
@@ -39,6 +41,8 @@ impl Random {
 /// Triangles that places are drawn from.
 pub(super) struct Patch {
     pub triangles: Vec<u32>,
+    /// Of all of them, m².
+    pub area: f32,
     /// Of their areas.
     cdf: Vec<f32>,
 }
@@ -47,7 +51,7 @@ impl Patch {
     /// Of triangles of the mesh, one at least.
     pub fn new(mesh: &Mesh, triangles: Vec<u32>) -> Self {
         let areas: Vec<f32> = triangles.iter().map(|&triangle| mesh.area(triangle)).collect();
-        Self { triangles, cdf: cdf(&areas) }
+        Self { triangles, area: areas.iter().sum(), cdf: cdf(&areas) }
     }
 
     /// A place on its front, or else its back.
@@ -63,10 +67,10 @@ impl Patch {
     }
 }
 
-/// What a triangle does to light, at its front and at its back.
+/// Which of a triangle's sides, front and back, there are for light, and which of them shine.
 #[derive(Clone, Copy, Default)]
 pub(super) struct SidesOfTriangle {
-    pub reflects: [bool; 2],
+    pub exist: [bool; 2],
     pub shines: [bool; 2],
 }
 
@@ -83,31 +87,32 @@ pub(super) struct Reach<'a> {
 }
 
 impl Reach<'_> {
-    /// Whether a walk from a place finds light.
-    pub fn finds_light(&self, mut place: SurfacePoint, random: &mut Random) -> bool {
+    /// Whether a walk from a place finds light. `meets` is called with every triangle on its way, the last of which may
+    /// shine, and whether it is its back that is met; where it says no, nothing is sent on from there.
+    pub fn finds_light(
+        &self,
+        mut place: SurfacePoint,
+        random: &mut Random,
+        mut meets: impl FnMut(u32, bool) -> bool,
+    ) -> bool {
         loop {
             if self.sees_light(&place, random) {
+                return true;
+            }
+            if self.sees_lamp(&place, random).is_some_and(|(triangle, back)| meets(triangle, back)) {
                 return true;
             }
             let Some((hit, next)) = self.step(&place, random) else {
                 return self.sky;
             };
-            let (sides, side) = (self.sides[hit.triangle as usize], usize::from(hit.back));
-            if sides.shines[side] {
-                return true;
-            }
-            if !sides.reflects[side] || random.unit() >= ALBEDO {
+            if !meets(hit.triangle, hit.back) {
                 return false;
             }
-            place = next;
-        }
-    }
-
-    /// Walks on from a place for as long as `reflects` says so of the triangles that it meets, of their backs or not.
-    pub fn walk(&self, mut place: SurfacePoint, random: &mut Random, mut reflects: impl FnMut(u32, bool) -> bool) {
-        while let Some((hit, next)) = self.step(&place, random) {
-            if !reflects(hit.triangle, hit.back) || random.unit() >= ALBEDO {
-                return;
+            if self.sides[hit.triangle as usize].shines[usize::from(hit.back)] {
+                return true;
+            }
+            if random.unit() >= ALBEDO {
+                return false;
             }
             place = next;
         }
@@ -118,28 +123,28 @@ impl Reach<'_> {
         let direction = Frame::of(V3::<f32>::of(place.normal)).to_world(cosine_direction(random.pair()));
         let hit = self.scene.closest(V3(place.position), direction)?;
         let TraceHit { triangle, u, v, t, .. } = hit;
-        let towards = -glam::Vec3::from(direction.0);
+        let towards = -Vec3::from(direction.0);
         Some((hit, SurfacePoint::new(self.scene.mesh(), &Hit { triangle, u, v, t }, Some(towards))))
     }
 
-    /// Whether one of the lights, or a place on one of the lamps, shines on a place.
+    /// Whether one of the lights without extent shines on a place.
     fn sees_light(&self, place: &SurfacePoint, random: &mut Random) -> bool {
         let drawn = (random.unit() * self.lights.len() as f32) as usize;
         let shines = |light: &Coefficients| punctual(self.scene, light, place).0.iter().any(|e: &f32| *e > 0.0);
-        self.lights.get(drawn).is_some_and(shines) || self.sees_lamp(place, random)
+        self.lights.get(drawn).is_some_and(shines)
     }
 
-    fn sees_lamp(&self, place: &SurfacePoint, random: &mut Random) -> bool {
-        let Some(lamps) = &self.lamps else {
-            return false;
-        };
-        let lamp = lamps.place(self.scene.mesh(), false, random);
-        let way = glam::Vec3::from(lamp.position) - glam::Vec3::from(place.position);
-        let direction = way.normalize_or_zero();
-        let side = usize::from(self.scene.mesh().face_normal(lamp.triangle).dot(direction) > 0.0);
-        let faces = glam::Vec3::from(place.normal).dot(direction) > 0.0;
-        let shines = faces && self.sides[lamp.triangle as usize].shines[side];
+    /// A triangle, with whether it is its back, of which a place shines on another.
+    fn sees_lamp(&self, place: &SurfacePoint, random: &mut Random) -> Option<(u32, bool)> {
+        let mesh = self.scene.mesh();
+        let lamp = self.lamps.as_ref()?.place(mesh, false, random);
+        let way = Vec3::from(lamp.position) - Vec3::from(place.position);
+        let direction = way.try_normalize()?;
+        let back = mesh.face_normal(lamp.triangle).dot(direction) > 0.0;
+        let shines = self.sides[lamp.triangle as usize].shines[usize::from(back)];
+        let faces = Vec3::from(place.normal).dot(direction) > 0.0;
         let length = CLEAR_SHARE as f32 * way.length();
-        shines && !self.scene.is_blocked(V3(place.position), V3(direction.to_array()), length)
+        let is_blocked = || self.scene.is_blocked(V3(place.position), V3(direction.to_array()), length);
+        (shines && faces && !is_blocked()).then_some((lamp.triangle, back))
     }
 }

@@ -6,17 +6,15 @@
 
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 use rayon::prelude::*;
 
-use super::gltf::{Model, OtherSide, Part};
+use super::gltf::{Face, Model, OtherSide, Part};
 use super::reach::{Patch, Random, Reach, SidesOfTriangle};
+use super::shells::Shell;
 use crate::atlas::MAX_SIDE;
-use crate::disjoint_sets::DisjointSets;
 use crate::environment::Environment;
 use crate::error::{Result, listed};
-use crate::mesh::weld;
 use crate::progress::{Progress, Task};
 use crate::rng::hash2;
 use crate::scene::Scene;
@@ -25,20 +23,19 @@ use crate::scene::Scene;
 const LIT: f64 = 1.0 / 256.0;
 /// and this share of those that do from the other side. What is inside of something has cracks.
 const OF_THE_OTHER: f64 = 1.0 / 16.0;
+/// Other sides are left out over which, together, less than this share of the light comes to any surface: what is seen
+/// through cracks, and the backs of whole rooms.
+const RARE: f64 = 1.0 / 32.0;
+/// Of surfaces that find less than this share of the light that the brightest does, that share of it counts.
+const DARKEST: f64 = 1.0 / 16.0;
+/// What emits at least this share of its material's mean is a lamp.
+const SHINING: f32 = 1.0 / 16.0;
 /// Walks of all surfaces together, from each of their sides.
 const WALKS: usize = 1 << 19;
 /// Walks from a side of a surface.
 const PER_SIDE: RangeInclusive<usize> = 16..=1024;
 /// Surfaces that are looked at before progress is told.
 const AT_ONCE: usize = 64;
-
-/// A connected piece of a double-sided primitive.
-struct Shell {
-    part: usize,
-    patch: Patch,
-    /// Whether both of its sides shine. Nobody sees the inside of a lamp that is closed.
-    is_lamp: bool,
-}
 
 /// What is baked of a shell.
 #[derive(Clone, Copy)]
@@ -52,28 +49,30 @@ struct Choice {
 impl Model {
     /// Finds the sides of double-sided surfaces that are to be baked, under what rays see that leave the scene: those
     /// that the lightmap holds, which are fronts unless light reaches backs alone, and the others that matter to it.
-    /// Without this, all surfaces have fronts alone. Says what the user should know of it; errors as [`Model::scene`].
+    /// Without this, all surfaces have fronts alone; it is done once, before [`Model::scene`], whose errors it has. Says
+    /// what the user should know of it.
     pub fn find_sides(&mut self, environment: Option<&Environment>, progress: &dyn Progress) -> Result<Option<String>> {
-        let shells = self.shells();
-        if shells.is_empty() {
+        let is_done = !self.other_sides.is_empty();
+        if is_done || !self.parts.iter().any(|part| self.has_two_sides(part)) {
             return Ok(None);
         }
         let scene = self.scene()?;
-        let reach = self.reach(&scene, &shells, environment);
+        let shines = self.shining();
+        let shells = self.shells(&shines);
+        let reach = self.reach(&scene, &shells, shines, environment);
         let choices = choose(&reach, &shells, progress)?;
         let seen = self.seen(&reach, &shells, &choices, progress)?;
         drop(scene);
 
         let turned = || shells.iter().zip(&choices).filter(|(_, choice)| choice.is_turned).map(|(shell, _)| shell);
         self.turn(turned().flat_map(|shell| &shell.patch.triangles));
-        let needed = |(shell, choice): &(&Shell, &Choice)| choice.is_other_lit && seen[shell.part];
-        let others: Vec<&Shell> = shells.iter().zip(&choices).filter(needed).map(|(shell, _)| shell).collect();
+        let others: Vec<&Shell> = shells.iter().zip(seen).filter(|(_, seen)| *seen).map(|(shell, _)| shell).collect();
         let mut told = Vec::new();
         let mut names: Vec<String> = turned().map(|shell| format!("\"{}\"", self.parts[shell.part].name)).collect();
         names.dedup();
         if !names.is_empty() {
             told.push(format!(
-                "the lightmap holds the light on the backs of {} double-sided surfaces, whose fronts have none: {}",
+                "the lightmap holds the light on the backs of double-sided surfaces whose fronts have none, in {} primitives: {}",
                 names.len(),
                 listed(&names)
             ));
@@ -91,40 +90,35 @@ impl Model {
         Ok((!told.is_empty()).then(|| told.join("; ")))
     }
 
-    /// The pieces of all double-sided primitives.
-    fn shells(&self) -> Vec<Shell> {
-        let mut first = 0;
-        let mut shells = Vec::new();
-        for (i, part) in self.parts.iter().enumerate() {
-            if self.is_double_sided(part) && !part.is_transparent() {
-                let shines = self.shines(part);
-                shells.extend(pieces(part).into_iter().map(|triangles| Shell {
-                    part: i,
-                    is_lamp: shines && !is_closed(&triangles),
-                    patch: Patch::new(&self.mesh, triangles.iter().map(|(index, _)| first + index).collect()),
-                }));
-            }
-            first += part.triangles.len() as u32;
-        }
-        shells
-    }
-
-    fn shines(&self, part: &Part) -> bool {
-        self.shading[self.shading_of(part)].emission.mean(&self.images).max_element() > 0.0
+    /// Whether triangles emit as much as their materials do on average, about.
+    pub(super) fn shining(&self) -> Vec<bool> {
+        let least = |part: &Part| {
+            let emission = self.shading[self.shading_of(part)].emission.mean(&self.images).max_element();
+            if emission > 0.0 && !part.is_transparent() { SHINING * emission } else { f32::INFINITY }
+        };
+        let least: Vec<f32> = self.parts.iter().map(least).collect();
+        let shines = |(triangle, face): (usize, Face)| {
+            least[face.part].is_finite() && self.emission(triangle as u32, face).max_element() >= least[face.part]
+        };
+        self.faces().into_par_iter().enumerate().map(shines).collect()
     }
 
     /// What light comes from, and what it meets.
-    fn reach<'a>(&self, scene: &'a Scene, shells: &[Shell], environment: Option<&Environment>) -> Reach<'a> {
-        let mut sides = Vec::with_capacity(self.mesh.triangles.len());
-        for part in &self.parts {
-            let of_part = SidesOfTriangle {
-                reflects: [true, self.is_double_sided(part)],
-                shines: [self.shines(part) && !part.is_transparent(), false],
-            };
-            sides.extend(std::iter::repeat_n(of_part, part.triangles.len()));
-        }
-        for triangle in shells.iter().filter(|shell| shell.is_lamp).flat_map(|shell| &shell.patch.triangles) {
-            sides[*triangle as usize].shines = [true; 2];
+    fn reach<'a>(
+        &self,
+        scene: &'a Scene,
+        shells: &[Shell],
+        shines: Vec<bool>,
+        environment: Option<&Environment>,
+    ) -> Reach<'a> {
+        let of_triangle = |shines: bool| SidesOfTriangle { exist: [true, false], shines: [shines, false] };
+        let mut sides: Vec<SidesOfTriangle> = shines.into_iter().map(of_triangle).collect();
+        for shell in shells {
+            for triangle in &shell.patch.triangles {
+                let SidesOfTriangle { exist, shines } = &mut sides[*triangle as usize];
+                exist[1] = true;
+                shines[1] = shines[0] && shell.is_lamp;
+            }
         }
         let lamps: Vec<u32> = (0..).zip(&sides).filter(|(_, sides)| sides.shines[0]).map(|(i, _)| i).collect();
         Reach {
@@ -136,8 +130,7 @@ impl Model {
         }
     }
 
-    /// Of every part, whether what the lightmap holds sees the other, lit side of one of its shells, directly or over
-    /// other surfaces.
+    /// Of every shell, whether its other side matters to what the lightmap holds: whether light comes over it.
     fn seen(
         &self,
         reach: &Reach<'_>,
@@ -150,35 +143,47 @@ impl Model {
         for (i, shell) in (0..).zip(shells) {
             shell.patch.triangles.iter().for_each(|triangle| shell_of[*triangle as usize] = Some(i));
         }
-        let seen: Vec<AtomicBool> = self.parts.iter().map(|_| AtomicBool::new(false)).collect();
-        let reflects = |triangle: u32, back: bool| {
-            let Some(shell) = shell_of[triangle as usize].map(|shell| shell as usize) else {
-                return !back;
-            };
-            let is_other = back != choices[shell].is_turned;
-            if is_other && choices[shell].is_other_lit {
-                seen[shells[shell].part].store(true, Relaxed);
-            }
-            !is_other || choices[shell].is_other_lit
-        };
         let mut first = 0;
         let single_sided: Vec<Patch> = (self.parts.iter())
             .filter_map(|part| {
                 let triangles = first..first + part.triangles.len() as u32;
                 first = triangles.end;
-                (!self.is_double_sided(part)).then(|| Patch::new(mesh, triangles.collect()))
+                (!self.has_two_sides(part)).then(|| Patch::new(mesh, triangles.collect()))
             })
             .collect();
         let shown = shells.iter().zip(choices).map(|(shell, choice)| (&shell.patch, choice.is_turned));
         let shown: Vec<(&Patch, bool)> = shown.chain(single_sided.iter().map(|patch| (patch, false))).collect();
-        from_each(&shown, "sides that are seen", progress, |index, (patch, back), walks| {
+        let light = from_each(&shown, "sides that are seen", progress, |index, (patch, back), walks| {
+            let mut light = LightOverOthers::default();
             for walk in 0..walks {
                 let mut random = Random::new(hash2(walk, hash2(index, 2)));
                 let place = patch.place(mesh, *back, &mut random);
-                reach.walk(place, &mut random, reflects);
+                let mut over = Vec::new();
+                let found = reach.finds_light(place, &mut random, |triangle, back| {
+                    let Some(shell) = shell_of[triangle as usize] else {
+                        return !back;
+                    };
+                    let Choice { is_turned, is_other_lit } = choices[shell as usize];
+                    let is_other = back != is_turned;
+                    if is_other && is_other_lit {
+                        over.push(shell);
+                    }
+                    !is_other || is_other_lit
+                });
+                if found {
+                    light.add(over);
+                }
             }
+            light
         })?;
-        Ok(seen.into_iter().map(AtomicBool::into_inner).collect())
+        let brightest = light.iter().map(|light| light.found).max().unwrap_or(0);
+        let mut seen = vec![false; shells.len()];
+        let essential = |light: LightOverOthers| {
+            let found = f64::from(light.found).max(DARKEST * f64::from(brightest));
+            light.essential(RARE * found, shells)
+        };
+        light.into_iter().flat_map(essential).for_each(|shell| seen[shell as usize] = true);
+        Ok(seen)
     }
 
     /// Turns triangles of the mesh over, of which vertices are their own.
@@ -235,7 +240,9 @@ fn choose(reach: &Reach<'_>, shells: &[Shell], progress: &dyn Progress) -> Resul
             let finds_light = |walk: &u32| {
                 let mut random = Random::new(hash2(*walk, hash2(index, u32::from(back))));
                 let place = shell.patch.place(reach.scene.mesh(), back, &mut random);
-                reach.finds_light(place, &mut random)
+                reach.finds_light(place, &mut random, |triangle, back| {
+                    reach.sides[triangle as usize].exist[usize::from(back)]
+                })
             };
             (0..walks).filter(finds_light).count() as f64
         });
@@ -244,6 +251,36 @@ fn choose(reach: &Reach<'_>, shells: &[Shell], progress: &dyn Progress) -> Resul
         let is_turned = back && !front;
         Choice { is_turned, is_other_lit: shell.is_lamp || (front && back) }
     })
+}
+
+/// Walks from a surface that found light.
+#[derive(Default)]
+struct LightOverOthers {
+    found: u32,
+    /// By the shells over whose other sides they went.
+    over: HashMap<u32, u32>,
+}
+
+impl LightOverOthers {
+    /// A walk that found light over shells.
+    fn add(&mut self, mut shells: Vec<u32>) {
+        self.found += 1;
+        shells.sort_unstable();
+        shells.dedup();
+        shells.into_iter().for_each(|shell| *self.over.entry(shell).or_default() += 1);
+    }
+
+    /// Of the shells those that are worth their area: without those over which, together, so many walks went at most.
+    fn essential(self, rare: f64, shells: &[Shell]) -> impl Iterator<Item = u32> {
+        let per_area = |(shell, walks): (u32, u32)| (walks as f32 / shells[shell as usize].patch.area, shell, walks);
+        let mut over: Vec<(f32, u32, u32)> = self.over.into_iter().map(per_area).collect();
+        over.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut sum = 0.0;
+        over.into_iter().filter_map(move |(_, shell, walks)| {
+            sum += f64::from(walks);
+            (sum > rare).then_some(shell)
+        })
+    }
 }
 
 /// What is found of surfaces, each by its index and with so many walks.
@@ -264,72 +301,33 @@ fn from_each<S: Sync, T: Send>(
     Ok(found)
 }
 
-/// The connected pieces of a part, by the places of its vertices: the index of every triangle, and the places of its
-/// corners.
-fn pieces(part: &Part) -> Vec<Vec<(u32, [u32; 3])>> {
-    // Zero has one sign.
-    let (places, firsts) = weld(part.positions.iter().map(|p| p.to_array().map(|v| (v + 0.0).to_bits())));
-    let mut sets = DisjointSets::new(firsts.len());
-    let corners = |triangle: &[u32; 3]| triangle.map(|vertex| places[vertex as usize]);
-    for [a, b, c] in part.triangles.iter().map(corners) {
-        sets.join(a, b);
-        sets.join(b, c);
-    }
-    let (mut pieces, mut numbers) = (Vec::<Vec<_>>::new(), HashMap::new());
-    for (index, triangle) in (0..).zip(&part.triangles) {
-        let corners = corners(triangle);
-        let number = *numbers.entry(sets.root(corners[0])).or_insert_with(|| {
-            pieces.push(Vec::new());
-            pieces.len() - 1
-        });
-        pieces[number].push((index, corners));
-    }
-    pieces
-}
-
-/// Whether every edge of triangles is one of two that run opposite ways.
-fn is_closed(triangles: &[(u32, [u32; 3])]) -> bool {
-    let mut balance = HashMap::new();
-    for (_, [a, b, c]) in triangles {
-        for [from, to] in [[a, b], [b, c], [c, a]] {
-            *balance.entry([from.min(to), from.max(to)]).or_insert(0i32) += if from < to { 1 } else { -1 };
-        }
-    }
-    balance.values().all(|balance| *balance == 0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// A part of triangles whose corners are integers in the plane.
-    fn part(triangles: &[[[i8; 3]; 3]]) -> Part {
-        let corners = triangles.as_flattened().iter();
-        Part {
-            positions: corners.map(|corner| corner.map(f32::from).into()).collect(),
-            normals: vec![],
-            uvs: vec![],
-            has_uvs: vec![],
-            triangles: (0..triangles.len() as u32).map(|t| [0, 1, 2].map(|k| 3 * t + k)).collect(),
-            material: None,
-            name: String::new(),
-            opacity: vec![],
-        }
-    }
+    use crate::mesh::Mesh;
 
     #[test]
-    fn pieces_are_told_by_their_places_and_closed_ones_by_their_edges() {
-        let [o, x, y, z] = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]];
-        let tetrahedron = [[o, y, x], [o, x, z], [o, z, y], [x, y, z]];
-        let far = [[9, 0, 0], [8, 0, 0], [9, 1, 0]];
-        let [solid, alone] = &pieces(&part(&[&tetrahedron[..2], &[far], &tetrahedron[2..]].concat()))[..] else {
-            panic!("two pieces");
+    fn shells_over_which_little_light_comes_are_left_out_those_of_the_largest_area_first() {
+        // Triangles of 18, 2, 0.5 and 0.5 m².
+        let corners = |size: f32| [glam::Vec3::ZERO, size * glam::Vec3::X, size * glam::Vec3::Y];
+        let mesh = Mesh {
+            positions: [6.0, 2.0, 1.0, 1.0].into_iter().flat_map(corners).collect(),
+            triangles: (0..4).map(|t| [0, 1, 2].map(|k| 3 * t + k)).collect(),
+            ..Mesh::default()
         };
-        assert_eq!(solid.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [0, 1, 3, 4]);
-        assert!(is_closed(solid) && !is_closed(alone));
-        // Open on one side, and closed by a face that is turned around.
-        let closed = |triangles: &[_]| is_closed(&pieces(&part(triangles))[0]);
-        assert!(!closed(&tetrahedron[1..]));
-        assert!(!closed(&[&tetrahedron[1..], &[[o, x, y]]].concat()));
+        let shell = |t: u32| Shell { part: 0, patch: Patch::new(&mesh, vec![t]), is_lamp: false };
+        let shells: Vec<Shell> = (0..4).map(shell).collect();
+        let essential = |rare: f64| {
+            let mut light = LightOverOthers::default();
+            for (shell, walks) in [(0, 4), (1, 2), (3, 1), (2, 9)] {
+                (0..walks).for_each(|_| light.add(vec![shell, shell]));
+            }
+            assert_eq!(light.found, 16);
+            light.essential(rare, &shells).collect::<Vec<_>>()
+        };
+        assert_eq!(essential(0.0), [0, 1, 3, 2]);
+        assert_eq!(essential(4.0), [1, 3, 2]);
+        assert_eq!(essential(6.9), [3, 2]);
+        assert!(essential(16.0).is_empty());
     }
 }

@@ -436,7 +436,7 @@ fn the_lightmap_holds_backs_where_light_reaches_these_alone() {
     // The second square lies a metre above the first, and faces up.
     let ceiling = |turn: Mat4| (1, Mat4::from_translation(Vec3::Y) * turn * Mat4::from_translation(-Vec3::Y));
     let upside_down = told(&[floor, ceiling(Mat4::IDENTITY)], within, true).unwrap();
-    assert!(upside_down.contains("the backs of 1 double-sided surfaces"), "{upside_down}");
+    assert!(upside_down.contains("in 1 primitives"), "{upside_down}");
     assert!(upside_down.contains("\"node 1\"") && !upside_down.contains("node 0"), "{upside_down}");
     // Negative controls: it is seen from its front alone, it faces down, it is lit where it faces.
     assert_eq!(told(&[floor, ceiling(Mat4::IDENTITY)], within, false), None);
@@ -451,7 +451,7 @@ fn the_lightmap_holds_backs_where_light_reaches_these_alone() {
     let black = told(&cube, within, false).unwrap();
     assert!(black.contains("no light arrives at any surface"), "{black}");
     let turned = told(&cube, within, true).unwrap();
-    assert!(turned.contains("the backs of 6 double-sided") && !turned.contains("no light"), "{turned}");
+    assert!(turned.contains("in 6 primitives") && !turned.contains("no light"), "{turned}");
 }
 
 /// How often the rows of the lightmap are baked of squares under a sky, where sides were looked for: twice if others are
@@ -470,12 +470,13 @@ fn sides_baked(placed: &[(usize, Mat4)], materials: Vec<Option<Value>>, sky: f32
 fn other_sides_are_baked_where_they_are_lit_and_seen() {
     let sheet = || Some(json!({ "doubleSided": true }));
     let glowing = || Some(json!({ "doubleSided": true, "emissiveFactor": [1.0, 1.0, 1.0] }));
-    let (floor, above) = ((0, Mat4::IDENTITY), Mat4::from_translation(Vec3::Y));
-    assert_eq!(sides_baked(&[floor, (1, above)], vec![None, sheet()], 1.0), 2);
+    // The second square lies a metre above the first.
+    let (floor, above) = ((0, Mat4::IDENTITY), (1, Mat4::IDENTITY));
+    assert_eq!(sides_baked(&[floor, above], vec![None, sheet()], 1.0), 2);
     // Negative controls: it has one side; nobody sees the other; there is no light.
-    assert_eq!(sides_baked(&[floor, (1, above)], vec![None, None], 1.0), 1);
-    assert_eq!(sides_baked(&[(1, above)], vec![None, sheet()], 1.0), 1);
-    assert_eq!(sides_baked(&[floor, (1, above)], vec![None, sheet()], 0.0), 1);
+    assert_eq!(sides_baked(&[floor, above], vec![None, None], 1.0), 1);
+    assert_eq!(sides_baked(&[above], vec![None, sheet()], 1.0), 1);
+    assert_eq!(sides_baked(&[floor, above], vec![None, sheet()], 0.0), 1);
     // Something solid, and the same without a lid, in which a square lies.
     let solid = |open: usize| -> Vec<(usize, Mat4)> {
         let within = Mat4::from_scale_rotation_translation(Vec3::splat(0.5), Default::default(), Vec3::splat(0.2));
@@ -485,9 +486,39 @@ fn other_sides_are_baked_where_they_are_lit_and_seen() {
     assert_eq!(sides_baked(&solid(0), vec![None, sheet()], 1.0), 1);
     assert_eq!(sides_baked(&solid(1), vec![None, sheet()], 1.0), 2);
     // A panel that shines up at a ceiling, and on what is below it, if there is anything.
-    let (panel, ceiling) = ((1, Mat4::IDENTITY), (0, Mat4::from_translation(2.0 * Vec3::Y) * over()));
-    assert_eq!(sides_baked(&[floor, panel, ceiling], vec![None, glowing()], 0.0), 2);
-    assert_eq!(sides_baked(&[panel, ceiling], vec![None, glowing()], 0.0), 1);
+    let ceiling = (0, Mat4::from_translation(2.0 * Vec3::Y) * over());
+    assert_eq!(sides_baked(&[floor, above, ceiling], vec![None, glowing()], 0.0), 2);
+    assert_eq!(sides_baked(&[above, ceiling], vec![None, glowing()], 0.0), 1);
+}
+
+#[test]
+fn lamps_shine_from_their_backs_where_nothing_says_that_they_do_not() {
+    let told = |extras: Value| {
+        let folder = tempfile::tempdir().unwrap();
+        let glow = json!({ "doubleSided": true, "emissiveFactor": [1.0, 1.0, 1.0], "extras": extras });
+        // A panel above a floor, which faces up.
+        let more = json!({ "materials": [glow] });
+        let [_, unlit] = told(write_squares(folder.path(), &[(&[], None), (&[], Some(0))], more), 0, Wanted);
+        unlit.unwrap()
+    };
+    let both = told(json!({ "artist": "somebody" }));
+    assert!(both.contains("in 1 primitives") && !both.contains("no light arrives"), "{both}");
+    let front = told(json!({ "texir_emission": "front" }));
+    assert!(front.contains("no light arrives") && !front.contains("primitives"), "{front}");
+}
+
+#[test]
+fn lamps_are_the_triangles_that_their_images_show_to_shine() {
+    let folder = tempfile::tempdir().unwrap();
+    // Bright in its right half.
+    let image = image::RgbImage::from_fn(64, 4, |x, _| image::Rgb([if x < 32 { 1 } else { 255 }; 3]));
+    image.save(folder.path().join("half.png")).unwrap();
+    let glow = json!({ "emissiveFactor": [1.0, 1.0, 1.0], "emissiveTexture": { "index": 0 } });
+    let more = json!({ "images": [{ "uri": "half.png" }], "textures": [{ "source": 0 }], "materials": [glow] });
+    let squares: [(&[Uvs], _); 3] =
+        [(&[set(0.2, 0.1)], Some(0)), (&[set(0.2, 0.7)], Some(0)), (&[set(0.2, 0.7)], None)];
+    let model = read_gltf(write_squares(folder.path(), &squares, more), 32, BounceAlbedo::Diffuse, &Silent).unwrap();
+    assert_eq!(model.shining(), [false, false, true, true, false, false]);
 }
 
 #[test]

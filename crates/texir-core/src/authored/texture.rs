@@ -71,6 +71,11 @@ impl Footprint {
         Self { centre: Vec2::new(hit.u, hit.v), sides: [sides.x_axis, sides.y_axis], ends }
     }
 
+    /// All of the triangle.
+    pub fn whole() -> Self {
+        Self { centre: Vec2::splat(0.5), sides: [Vec2::X, Vec2::Y], ends: true }
+    }
+
     /// Places in it, `counts` along its sides.
     fn places(&self, counts: [u32; 2]) -> impl Iterator<Item = Vec2> {
         let along = move |side: usize, i: u32| self.sides[side] * ((i as f32 + 0.5) / counts[side] as f32 - 0.5);
