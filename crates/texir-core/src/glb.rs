@@ -6,7 +6,7 @@
 //! the charts, where all maps are 0, images go on as what is near, so that mips of them keep their colours.
 
 mod beyond;
-mod front_emission;
+mod one_sided;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,7 +26,7 @@ use gltf_json::validation::Checked::Valid;
 use gltf_json::validation::USize64;
 use gltf_json::{Accessor, Buffer, Image, Index, Material, Mesh as GltfMesh, Node, Root, Scene, Texture, Value};
 
-pub(crate) use self::front_emission::emits_from_front_alone;
+pub(crate) use self::one_sided::is_one_sided;
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::image_io::{encode_png, encode_srgb};
@@ -121,8 +121,9 @@ impl Builder {
         let metallic_roughness = self.texture(path, "metallic_roughness", &metallic_roughness, sampler)?;
         let mut material = Material {
             name: Some("texir".to_owned()),
-            // texir shades the side that a ray meets: from behind, a wall is there as well.
+            // texir shades the side that a ray meets: from behind, a wall is there as well. Light it sends from its front.
             double_sided: true,
+            extras: one_sided::extras(),
             pbr_metallic_roughness: PbrMetallicRoughness {
                 base_color_factor: PbrBaseColorFactor([1.0; 4]),
                 base_color_texture: Some(base_colour),
@@ -143,7 +144,6 @@ impl Builder {
             let emissive_strength = Some(EmissiveStrength { emissive_strength: EmissiveStrengthFactor(strength) });
             material.extensions = Some(MaterialExtensions { emissive_strength, ..Default::default() });
             self.root.extensions_used.push("KHR_materials_emissive_strength".to_owned());
-            material.extras = front_emission::extras();
         }
         Ok(self.root.push(material))
     }
@@ -385,7 +385,7 @@ mod tests {
         assert_eq!(images["emission"].as_raw(), &[0, 0, 0, 255, 128, 0]);
         let material = document.materials().next().unwrap();
         assert_eq!(material.emissive_strength(), Some(40.0));
-        assert!(material.double_sided() && emits_from_front_alone(material.extras()));
+        assert!(material.double_sided() && is_one_sided(material.extras()));
         assert_eq!(material.emissive_factor(), [1.0; 3]);
         let pbr = material.pbr_metallic_roughness();
         assert_eq!((pbr.metallic_factor(), pbr.roughness_factor()), (1.0, 1.0));

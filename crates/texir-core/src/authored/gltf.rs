@@ -350,7 +350,7 @@ impl Model {
             .collect()
     }
 
-    /// Whether engines show a part from behind as well.
+    /// Whether a part's backs send light as well.
     pub(super) fn is_double_sided(&self, part: &Part) -> bool {
         self.shading[self.shading_of(part)].double_sided
     }

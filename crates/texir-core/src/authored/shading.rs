@@ -10,7 +10,7 @@ use gltf::{Document, Material};
 use super::opacity::{self, Opacity};
 use super::texture::{Alpha, Colour, Images, Texture};
 use crate::error::{Error, Result};
-use crate::glb::emits_from_front_alone;
+use crate::glb::is_one_sided;
 use crate::image_io::TransferCurve;
 
 /// Reflectances in files may be above 1 by so much, from few digits.
@@ -34,10 +34,8 @@ pub(super) struct Shading {
     pub emission: Colour,
     /// How rough (green) and how much of a metal (blue) it is, where that matters.
     pub metallic_roughness: Option<Colour>,
-    /// Whether engines show it from behind as well.
+    /// Whether its backs send light as well.
     pub double_sided: bool,
-    /// Whether it emits from its front alone, though it be double-sided.
-    pub emits_from_front_alone: bool,
     pub opacity: Opacity,
 }
 
@@ -84,8 +82,7 @@ pub(super) fn shading(
                 }
                 BounceAlbedo::Diffuse => None,
             },
-            double_sided: material.double_sided(),
-            emits_from_front_alone: emits_from_front_alone(material.extras()),
+            double_sided: material.double_sided() && !is_one_sided(material.extras()),
             opacity: Opacity::of(&material, albedo.texture.as_ref(), images),
             albedo,
         })
@@ -100,7 +97,6 @@ pub(super) fn shading(
         emission: black,
         metallic_roughness: None,
         double_sided: false,
-        emits_from_front_alone: false,
         opacity: Opacity::OPAQUE,
     });
     Ok(all)

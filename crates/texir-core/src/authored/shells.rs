@@ -12,7 +12,7 @@ pub(super) struct Shell {
     /// Index of the primitive.
     pub part: usize,
     pub patch: Patch,
-    /// Whether both of its sides shine. Nobody sees the inside of a lamp that is closed, and some have lit fronts alone.
+    /// Whether both of its sides shine. Nobody sees the inside of a lamp that is closed.
     pub is_lamp: bool,
 }
 
@@ -28,10 +28,9 @@ impl Model {
         let mut shells = Vec::new();
         for (i, part) in self.parts.iter().enumerate() {
             if self.has_two_sides(part) {
-                let may_shine = !self.shading[self.shading_of(part)].emits_from_front_alone;
                 shells.extend(pieces(part).into_iter().map(|piece| {
                     let triangles: Vec<u32> = piece.iter().map(|(index, _)| first + index).collect();
-                    let shines = may_shine && triangles.iter().any(|&triangle| shines[triangle as usize]);
+                    let shines = triangles.iter().any(|&triangle| shines[triangle as usize]);
                     Shell { part: i, is_lamp: shines && !is_closed(&piece), patch: Patch::new(&self.mesh, triangles) }
                 }));
             }

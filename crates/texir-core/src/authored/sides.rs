@@ -25,7 +25,7 @@ const LIT: f64 = 1.0 / 256.0;
 const OF_THE_OTHER: f64 = 1.0 / 16.0;
 /// Other sides are left out over which, together, less than this share of the light comes to any surface: what is seen
 /// through cracks, and the backs of whole rooms.
-const RARE: f64 = 1.0 / 32.0;
+const RARE: f64 = 1.0 / 64.0;
 /// Of surfaces that find less than this share of the light that the brightest does, that share of it counts.
 const DARKEST: f64 = 1.0 / 16.0;
 /// What emits at least this share of its material's mean is a lamp.

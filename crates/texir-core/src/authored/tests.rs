@@ -492,7 +492,7 @@ fn other_sides_are_baked_where_they_are_lit_and_seen() {
 }
 
 #[test]
-fn lamps_shine_from_their_backs_where_nothing_says_that_they_do_not() {
+fn backs_send_light_where_nothing_says_that_they_do_not() {
     let told = |extras: Value| {
         let folder = tempfile::tempdir().unwrap();
         let glow = json!({ "doubleSided": true, "emissiveFactor": [1.0, 1.0, 1.0], "extras": extras });
@@ -503,7 +503,7 @@ fn lamps_shine_from_their_backs_where_nothing_says_that_they_do_not() {
     };
     let both = told(json!({ "artist": "somebody" }));
     assert!(both.contains("in 1 primitives") && !both.contains("no light arrives"), "{both}");
-    let front = told(json!({ "texir_emission": "front" }));
+    let front = told(json!({ "texir_light": "front" }));
     assert!(front.contains("no light arrives") && !front.contains("primitives"), "{front}");
 }
 

@@ -80,7 +80,7 @@ struct Summary {
     /// Texels inside other geometry.
     buried: usize,
     rays: u64,
-    /// Mean irradiance of the direct light and of every bounce, lux.
+    /// Mean irradiance of the direct light and of every bounce, lux, over all texels that were baked.
     irradiance_by_bounce: Vec<f64>,
     /// Estimated share of all light that further bounces would add; absent after direct light alone, and where bounces
     /// do not fall off.
