@@ -16,6 +16,8 @@ use crate::surface::{Hit, SurfacePoint};
 
 /// What a walk survives at every surface: the albedo of all.
 const ALBEDO: f32 = 0.5;
+/// Lights, and places on lamps, that are asked for at a place: in a house of many, most shine in other rooms.
+const ASKED: usize = 8;
 
 /// Numbers in [0, 1), one after the other.
 pub(super) struct Random {
@@ -86,33 +88,33 @@ pub(super) struct Reach<'a> {
     pub sky: bool,
 }
 
+/// What is told of a walk on its way.
+pub(super) trait Walk {
+    /// A triangle is met, or its back: whether the walk may go on from there.
+    fn meets(&mut self, triangle: u32, back: bool) -> bool;
+
+    /// Light is found, of a triangle that shines (from its back or not) or of something else: whether to go on.
+    fn finds(&mut self, lamp: Option<(u32, bool)>) -> bool;
+}
+
 impl Reach<'_> {
-    /// Whether a walk from a place finds light. `meets` is called with every triangle on its way, the last of which may
-    /// shine, and whether it is its back that is met; where it says no, nothing is sent on from there.
-    pub fn finds_light(
-        &self,
-        mut place: SurfacePoint,
-        random: &mut Random,
-        mut meets: impl FnMut(u32, bool) -> bool,
-    ) -> bool {
+    /// Walks from a place.
+    pub fn walk(&self, mut place: SurfacePoint, random: &mut Random, walk: &mut impl Walk) {
         loop {
-            if self.sees_light(&place, random) {
-                return true;
+            if self.sees_light(&place, random) && !walk.finds(None) {
+                return;
             }
-            if self.sees_lamp(&place, random).is_some_and(|(triangle, back)| meets(triangle, back)) {
-                return true;
+            if self.sees_lamp(&place, random).is_some_and(|lamp| !walk.finds(Some(lamp))) {
+                return;
             }
             let Some((hit, next)) = self.step(&place, random) else {
-                return self.sky;
+                if self.sky {
+                    walk.finds(None);
+                }
+                return;
             };
-            if !meets(hit.triangle, hit.back) {
-                return false;
-            }
-            if self.sides[hit.triangle as usize].shines[usize::from(hit.back)] {
-                return true;
-            }
-            if random.unit() >= ALBEDO {
-                return false;
+            if !walk.meets(hit.triangle, hit.back) || random.unit() >= ALBEDO {
+                return;
             }
             place = next;
         }
@@ -127,17 +129,26 @@ impl Reach<'_> {
         Some((hit, SurfacePoint::new(self.scene.mesh(), &Hit { triangle, u, v, t }, Some(towards))))
     }
 
-    /// Whether one of the lights without extent shines on a place.
+    /// Whether a light without extent shines on a place, of some that are drawn.
     fn sees_light(&self, place: &SurfacePoint, random: &mut Random) -> bool {
-        let drawn = (random.unit() * self.lights.len() as f32) as usize;
-        let shines = |light: &Coefficients| punctual(self.scene, light, place).0.iter().any(|e: &f32| *e > 0.0);
-        self.lights.get(drawn).is_some_and(shines)
+        let count = self.lights.len();
+        (0..count.min(ASKED)).any(|i| {
+            let drawn = if count > ASKED { (random.unit() * count as f32) as usize } else { i };
+            let shines = |light: &Coefficients| punctual(self.scene, light, place).0.iter().any(|e: &f32| *e > 0.0);
+            self.lights.get(drawn).is_some_and(shines)
+        })
     }
 
-    /// A triangle, with whether it is its back, of which a place shines on another.
+    /// A triangle, with whether it is its back, that shines on a place, of some that are drawn.
     fn sees_lamp(&self, place: &SurfacePoint, random: &mut Random) -> Option<(u32, bool)> {
+        let lamps = self.lamps.as_ref()?;
+        (0..lamps.triangles.len().min(ASKED)).find_map(|_| self.shines(lamps, place, random))
+    }
+
+    /// A triangle, with whether it is its back, where a place that is drawn from lamps shines on another.
+    fn shines(&self, lamps: &Patch, place: &SurfacePoint, random: &mut Random) -> Option<(u32, bool)> {
         let mesh = self.scene.mesh();
-        let lamp = self.lamps.as_ref()?.place(mesh, false, random);
+        let lamp = lamps.place(mesh, false, random);
         let way = Vec3::from(lamp.position) - Vec3::from(place.position);
         let direction = way.try_normalize()?;
         let back = mesh.face_normal(lamp.triangle).dot(direction) > 0.0;

@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 use rayon::prelude::*;
 
 use super::gltf::{Face, Model, OtherSide, Part};
-use super::reach::{Patch, Random, Reach, SidesOfTriangle};
+use super::reach::{Patch, Random, Reach, SidesOfTriangle, Walk};
 use super::shells::Shell;
 use crate::atlas::MAX_SIDE;
 use crate::environment::Environment;
@@ -19,9 +19,10 @@ use crate::progress::{Progress, Task};
 use crate::rng::hash2;
 use crate::scene::Scene;
 
-/// A side is lit if this share of the walks from it finds light,
+/// A side is lit if this share of the walks from it finds light.
 const LIT: f64 = 1.0 / 256.0;
-/// and this share of those that do from the other side. What is inside of something has cracks.
+/// It is dim if less than this share of those that find light from the other side do: what is inside of something has
+/// cracks.
 const OF_THE_OTHER: f64 = 1.0 / 16.0;
 /// Other sides are left out over which, together, less than this share of the light comes to any surface: what is seen
 /// through cracks, and the backs of whole rooms.
@@ -154,27 +155,14 @@ impl Model {
         let shown = shells.iter().zip(choices).map(|(shell, choice)| (&shell.patch, choice.is_turned));
         let shown: Vec<(&Patch, bool)> = shown.chain(single_sided.iter().map(|patch| (patch, false))).collect();
         let light = from_each(&shown, "sides that are seen", progress, |index, (patch, back), walks| {
-            let mut light = LightOverOthers::default();
+            let mut over = OverOthers { shell_of: &shell_of, choices, path: vec![], light: LightOverOthers::default() };
             for walk in 0..walks {
                 let mut random = Random::new(hash2(walk, hash2(index, 2)));
                 let place = patch.place(mesh, *back, &mut random);
-                let mut over = Vec::new();
-                let found = reach.finds_light(place, &mut random, |triangle, back| {
-                    let Some(shell) = shell_of[triangle as usize] else {
-                        return !back;
-                    };
-                    let Choice { is_turned, is_other_lit } = choices[shell as usize];
-                    let is_other = back != is_turned;
-                    if is_other && is_other_lit {
-                        over.push(shell);
-                    }
-                    !is_other || is_other_lit
-                });
-                if found {
-                    light.add(over);
-                }
+                over.path.clear();
+                reach.walk(place, &mut random, &mut over);
             }
-            light
+            over.light
         })?;
         let brightest = light.iter().map(|light| light.found).max().unwrap_or(0);
         let mut seen = vec![false; shells.len()];
@@ -240,20 +228,78 @@ fn choose(reach: &Reach<'_>, shells: &[Shell], progress: &dyn Progress) -> Resul
             let finds_light = |walk: &u32| {
                 let mut random = Random::new(hash2(*walk, hash2(index, u32::from(back))));
                 let place = shell.patch.place(reach.scene.mesh(), back, &mut random);
-                reach.finds_light(place, &mut random, |triangle, back| {
-                    reach.sides[triangle as usize].exist[usize::from(back)]
-                })
+                let mut any = AnyLight { sides: &reach.sides, is_found: false };
+                reach.walk(place, &mut random, &mut any);
+                any.is_found
             };
             (0..walks).filter(finds_light).count() as f64
         });
-        let is_lit = |side: usize| found[side] >= (LIT * f64::from(walks)).max(OF_THE_OTHER * found[1 - side]);
-        let [front, back] = [0, 1].map(is_lit);
-        let is_turned = back && !front;
-        Choice { is_turned, is_other_lit: shell.is_lamp || (front && back) }
+        let is_lit = |side: usize| found[side] >= LIT * f64::from(walks);
+        let is_dim = |side: usize| found[side] < OF_THE_OTHER * found[1 - side];
+        Choice {
+            is_turned: is_lit(1) && is_dim(0),
+            is_other_lit: shell.is_lamp || [0, 1].into_iter().all(|side| is_lit(side) && !is_dim(side)),
+        }
     })
 }
 
-/// Walks from a surface that found light.
+/// A walk until there is light.
+struct AnyLight<'a> {
+    sides: &'a [SidesOfTriangle],
+    is_found: bool,
+}
+
+impl Walk for AnyLight<'_> {
+    fn meets(&mut self, triangle: u32, back: bool) -> bool {
+        self.sides[triangle as usize].exist[usize::from(back)]
+    }
+
+    fn finds(&mut self, _: Option<(u32, bool)>) -> bool {
+        self.is_found = true;
+        false
+    }
+}
+
+/// Walks over what the lightmap holds and over other sides that are lit.
+struct OverOthers<'a> {
+    shell_of: &'a [Option<u32>],
+    choices: &'a [Choice],
+    /// The shells whose other sides were met on the way.
+    path: Vec<u32>,
+    light: LightOverOthers,
+}
+
+impl OverOthers<'_> {
+    /// Whether there is a side of a triangle; it comes into the path where it is another one.
+    fn pass(&mut self, triangle: u32, back: bool) -> bool {
+        let Some(shell) = self.shell_of[triangle as usize] else {
+            return !back;
+        };
+        let Choice { is_turned, is_other_lit } = self.choices[shell as usize];
+        let is_other = back != is_turned;
+        if is_other && is_other_lit {
+            self.path.push(shell);
+        }
+        !is_other || is_other_lit
+    }
+}
+
+impl Walk for OverOthers<'_> {
+    fn meets(&mut self, triangle: u32, back: bool) -> bool {
+        self.pass(triangle, back)
+    }
+
+    fn finds(&mut self, lamp: Option<(u32, bool)>) -> bool {
+        let length = self.path.len();
+        if lamp.is_none_or(|(triangle, back)| self.pass(triangle, back)) {
+            self.light.add(&self.path);
+        }
+        self.path.truncate(length);
+        true
+    }
+}
+
+/// How often walks from a surface found light.
 #[derive(Default)]
 struct LightOverOthers {
     found: u32,
@@ -262,12 +308,11 @@ struct LightOverOthers {
 }
 
 impl LightOverOthers {
-    /// A walk that found light over shells.
-    fn add(&mut self, mut shells: Vec<u32>) {
+    /// Light was found over the other sides of shells.
+    fn add(&mut self, path: &[u32]) {
         self.found += 1;
-        shells.sort_unstable();
-        shells.dedup();
-        shells.into_iter().for_each(|shell| *self.over.entry(shell).or_default() += 1);
+        let firsts = (0..path.len()).filter(|&i| !path[..i].contains(&path[i]));
+        firsts.for_each(|i| *self.over.entry(path[i]).or_default() += 1);
     }
 
     /// Of the shells those that are worth their area: without those over which, together, so many walks went at most.
@@ -320,7 +365,7 @@ mod tests {
         let essential = |rare: f64| {
             let mut light = LightOverOthers::default();
             for (shell, walks) in [(0, 4), (1, 2), (3, 1), (2, 9)] {
-                (0..walks).for_each(|_| light.add(vec![shell, shell]));
+                (0..walks).for_each(|_| light.add(&[shell, shell]));
             }
             assert_eq!(light.found, 16);
             light.essential(rare, &shells).collect::<Vec<_>>()
