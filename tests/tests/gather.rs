@@ -173,7 +173,7 @@ fn triangles_that_rays_meet_in_parts_are_the_same_to_all() {
             1 => TriangleOpacity::from_coverage(1, hash(triangle), |_| 0.4),
             side => TriangleOpacity::from_coverage(side, hash(triangle), some),
         };
-        if hash(triangle).is_multiple_of(2) { opacity.mirrored() } else { opacity }
+        if hash(triangle).is_multiple_of(2) { opacity.turned_over() } else { opacity }
     };
     let scene = Arc::new(Scene::with_opacity(mesh.clone(), in_parts).unwrap());
     assert!(scene.micromaps().len() > mesh.triangles.len() / 2);

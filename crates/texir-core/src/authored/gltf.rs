@@ -227,7 +227,7 @@ impl Model {
             let part = &self.parts[face.part];
             let opacity = part.opacity.get(face.triangle).cloned().unwrap_or(TriangleOpacity::Opaque);
             let is_turned = self.corners(triangle as usize, face) != part.triangles[face.triangle];
-            if is_turned { opacity.mirrored() } else { opacity }
+            if is_turned { opacity.turned_over() } else { opacity }
         })
     }
 

@@ -78,7 +78,7 @@ impl TriangleOpacity {
 
     /// That of the same triangle with its second and third corner swapped, so that it faces the other way.
     #[must_use]
-    pub fn mirrored(self) -> Self {
+    pub fn turned_over(self) -> Self {
         match self {
             Self::Micromap(micromap) => Self::Micromap(Micromap { is_mirrored: !micromap.is_mirrored, ..micromap }),
             plain => plain,
@@ -120,7 +120,7 @@ impl Micromap {
         }
     }
 
-    /// Whether its parts are looked up with barycentric coordinates swapped: see [`TriangleOpacity::mirrored`].
+    /// Whether its parts are looked up with barycentric coordinates swapped: see [`TriangleOpacity::turned_over`].
     pub fn is_mirrored(&self) -> bool {
         self.is_mirrored
     }
@@ -213,7 +213,7 @@ mod tests {
         let ramp = |[[u, v], ..]: [[f32; 2]; 3]| 0.9 * u + 0.2 * v;
         for opacity in [TriangleOpacity::from_coverage(13, 5, ramp), TriangleOpacity::from_coverage(13, 5, |_| 0.4)] {
             let [TriangleOpacity::Micromap(map), TriangleOpacity::Micromap(mirrored)] =
-                [opacity.clone(), opacity.clone().mirrored()]
+                [opacity.clone(), opacity.clone().turned_over()]
             else {
                 panic!("{opacity:?} is all or nothing");
             };
@@ -221,7 +221,7 @@ mod tests {
             assert!(places().all(|[u, v]| mirrored.is_opaque(v, u) == map.is_opaque(u, v)));
             // Negative control: its parts do lie otherwise.
             assert!(places().any(|[u, v]| mirrored.is_opaque(u, v) != map.is_opaque(u, v)));
-            assert_eq!(opacity.clone().mirrored().mirrored(), opacity);
+            assert_eq!(opacity.clone().turned_over().turned_over(), opacity);
         }
     }
 
