@@ -253,8 +253,7 @@ impl Model {
     /// The lightmap, of what was solved at the texels of the map that was baked.
     pub fn lightmap(&self, solution: &BakedTexels, texels: &Texels<'_>, buried: Buried) -> Result<Rgb> {
         let [width, height] = self.lightmap_size();
-        let rows = bands(width, height, BAND).map(|rows| solution.map_rows(texels, buried, rows));
-        Raster::new(width, height, rows.collect::<Result<Vec<_>>>()?.concat())
+        Raster::new(width, height, solution.map_rows(texels, buried, 0..height)?)
     }
 
     /// What the scene emits and reflects at the texels of the map that is baked: the mean over each.

@@ -269,9 +269,8 @@ struct OverOthers<'a> {
     light: LightOverOthers,
 }
 
-impl OverOthers<'_> {
-    /// Whether there is a side of a triangle; it comes into the path where it is another one.
-    fn pass(&mut self, triangle: u32, back: bool) -> bool {
+impl Walk for OverOthers<'_> {
+    fn meets(&mut self, triangle: u32, back: bool) -> bool {
         let Some(shell) = self.shell_of[triangle as usize] else {
             return !back;
         };
@@ -282,16 +281,11 @@ impl OverOthers<'_> {
         }
         !is_other || is_other_lit
     }
-}
-
-impl Walk for OverOthers<'_> {
-    fn meets(&mut self, triangle: u32, back: bool) -> bool {
-        self.pass(triangle, back)
-    }
 
     fn finds(&mut self, lamp: Option<(u32, bool)>) -> bool {
+        // The lamp's own side is on the way of this light alone.
         let length = self.path.len();
-        if lamp.is_none_or(|(triangle, back)| self.pass(triangle, back)) {
+        if lamp.is_none_or(|(triangle, back)| self.meets(triangle, back)) {
             self.light.add(&self.path);
         }
         self.path.truncate(length);

@@ -53,9 +53,7 @@ impl Solved {
             "{bounces} bounces leave out {share}, where the tolerance (--tolerance) is {tolerance}: allow more bounces (--bounces){reason}"
         ))
     }
-}
 
-impl Solved {
     /// What to tell the user where all is black.
     pub fn unlit(&self) -> Option<String> {
         self.series.iter().all(|mean| *mean == 0.0).then(|| {

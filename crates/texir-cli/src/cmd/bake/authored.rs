@@ -104,7 +104,7 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
         }
         None => Ok(Workspace::Memory),
     };
-    // Before it is traced for the first time.
+    // Errors come before anything is traced; other sides then take their own.
     workspace(&model)?;
     let told = model.find_sides(environment.as_ref(), session.console).context(bake.input.display())?;
     told.iter().for_each(|what| session.console.warn(&format!("{}: {what}", bake.input.display())));
