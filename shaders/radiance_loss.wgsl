@@ -41,7 +41,7 @@ fn radiance_loss(
         }
     }
     thread_sums[thread] = loss;
-    for (var stride = 32u; stride > 0u; stride /= 2u) {
+    for (var stride = WORKGROUP / 2u; stride > 0u; stride /= 2u) {
         workgroupBarrier();
         if thread < stride {
             thread_sums[thread] += thread_sums[thread + stride];

@@ -20,9 +20,12 @@ fn sincos_turns(v: f32) -> vec2f {
     );
 }
 
+// The largest number below 1 with 24 bits.
+const BELOW_ONE: f32 = 0.99999994;
+
 // How far u lies within [before, up_to), in [0, 1).
 fn share_below(u: f32, before: f32, up_to: f32) -> f32 {
-    return clamp((u - before) / (up_to - before), 0.0, 0.99999994);
+    return clamp((u - before) / (up_to - before), 0.0, BELOW_ONE);
 }
 
 // Threads of a workgroup, where a pass has no other number.

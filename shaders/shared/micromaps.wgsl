@@ -10,13 +10,13 @@
 const IN_PARTS: u32 = 0x80000000u;
 const MIRRORED: u32 = 0x80000000u;
 // Columns and rows of parts whose dither is one.
-const BLOCK: u32 = 4u;
+const DITHER_BLOCK: u32 = 4u;
 
 // How much of a part must be covered for it to be there, in [0, 1): the R2 sequence (1/ρ and 1/ρ² of the plastic number
 // ρ, in fractions of 2³²), shifted in every block anew.
 fn part_threshold(column: u32, row: u32, turned: bool, seed: u32) -> f32 {
     let sequence = column * 3242174889u + row * 2447445414u;
-    let shift = hash2(hash2(column / BLOCK, row / BLOCK), seed);
+    let shift = hash2(hash2(column / DITHER_BLOCK, row / DITHER_BLOCK), seed);
     return to_unit(sequence + shift + select(0u, 0x80000000u, turned));
 }
 

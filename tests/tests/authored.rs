@@ -31,7 +31,7 @@ use texir_tests::gltf::Document;
 use texir_tests::{gpu, scenes};
 
 const QUALITY: Quality = Quality { gather: Gather::new(32, 32, 3), error: None, denoise: Some(Denoiser::Regression) };
-const BOUNCES: Bounces = Bounces { quality: QUALITY, tolerance: 1e-3, most: 64 };
+const BOUNCES: Bounces = Bounces { quality: QUALITY, tolerance: 1e-3, max_bounces: 64 };
 
 /// What was solved, in memory.
 struct Lit {
@@ -78,7 +78,8 @@ fn a_closed_box_is_a_furnace_bounce_by_bounce() {
         };
         let tight = Tolerance { absolute: 0.0, relative: 2e-4 };
         for most in [0, 1, 2, 4] {
-            let solved = solve(backend.as_mut(), &atlas, &surfaces, &Bounces { most, tolerance: 0.0, ..BOUNCES });
+            let solved =
+                solve(backend.as_mut(), &atlas, &surfaces, &Bounces { max_bounces: most, tolerance: 0.0, ..BOUNCES });
             let got = lanes(&solved);
             let expected: Vec<f64> = series(most as usize).into_iter().cycle().take(got.len()).collect();
             tight.check(&format!("{}, {most} bounces", backend.name()), &got, &expected);
@@ -319,7 +320,7 @@ fn lit_as_by_a_path_tracer(model: &Model, albedo: [[f32; 3]; 4]) {
     let kept = light(&denoised) / light(&solved);
     assert!((kept - 1.0).abs() < 0.01, "denoising keeps {kept} of the light");
     // Negative control: without the bounces it is darker by far more than the tolerance.
-    let direct = solve(&mut backend, &atlas, &surfaces, &Bounces { most: 0, ..bounces });
+    let direct = solve(&mut backend, &atlas, &surfaces, &Bounces { max_bounces: 0, ..bounces });
     assert!(direct.series[0] < 0.9 * solved.series.iter().sum::<f64>());
 }
 
@@ -352,7 +353,7 @@ fn on_floor_and_leaf(model: &Model) -> [Vec3; 2] {
     let texels = Texels::of(&atlas);
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(64, 64, 1), error: None, denoise: None };
-    let bounces = Bounces { quality, tolerance: 1e-3, most: 16 };
+    let bounces = Bounces { quality, tolerance: 1e-3, max_bounces: 16 };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     // The lightmap is cut from the map that was baked.
     let lightmap = model.lightmap(&solved.solution, &texels, Buried::Keep).unwrap();
@@ -544,7 +545,7 @@ fn the_lightmap_takes_coordinates_that_do_not_overlap() {
     // Neither, or none at all: unwrapped.
     for sets in [[&[whole, whole][..], &[whole, whole]], [&[], &[]]] {
         let model = load(&two(sets), 64);
-        let report = atlas_report(&model.mesh, 512);
+        let report = atlas_report(&model.mesh, [512; 2]);
         assert!(report.covered_fraction > 0.3 && report.overlapping_fraction == 0.0, "{report:?}");
         assert_eq!(model.mesh.triangles.len(), 4);
         assert!(model.size[0] == 64 && model.size[1] <= 64, "{:?}", model.size);

@@ -14,7 +14,7 @@ mod session;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{Arg, CommandFactory, FromArgMatches, Parser};
 
 use crate::cmd::Command;
 use crate::config::{Common, Config};
@@ -35,8 +35,17 @@ struct Cli {
     common: Common,
 }
 
+/// The command line. Negative numbers are values of options: it is these that tell what they expect.
+fn command() -> clap::Command {
+    let with_negative = |arg: Arg| {
+        let is_option = !arg.is_positional() && arg.get_action().takes_values();
+        if is_option { arg.allow_negative_numbers(true) } else { arg }
+    };
+    Cli::command().mut_args(with_negative).mut_subcommands(|command| command.mut_args(with_negative))
+}
+
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) if failure.interrupted() => {
@@ -67,12 +76,10 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     #[test]
     fn arguments_are_consistent() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 }

@@ -40,7 +40,7 @@ fn main() -> texir_core::error::Result<()> {
     let bounces = Bounces {
         quality: Quality { gather, error: None, denoise: Some(Denoiser::Regression) },
         tolerance: 0.005,
-        most: 64,
+        max_bounces: 64,
     };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent)?;
     println!("mean irradiance by bounce, lux: {:.1?}", solved.series);

@@ -342,7 +342,7 @@ pub trait Backend {
     /// Specular tables: the specular radiance of a surface with normal-incidence reflectance `f0` at every pixel as a
     /// function of roughness, from light samples that are drawn once and weighed at every tabulated roughness; unbiased
     /// at each. A pixel is the mean over its strata. Which samples are drawn does not depend on `f0`. Advances
-    /// `progress` by the rays traced.
+    /// `progress` by the rays requested.
     fn specular_tables(
         &mut self,
         pixels: &[[ShadePoint; STRATA]],

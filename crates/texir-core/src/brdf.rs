@@ -115,6 +115,11 @@ pub fn fresnel_weight<R: Real>(vh: R) -> R {
     ((R::of(-5.55472) * vh - R::of(6.98316)) * vh).exp2()
 }
 
+/// ∂ln x/∂vh of [`fresnel_weight`].
+pub fn d_ln_fresnel_weight<R: Real>(vh: R) -> R {
+    R::of(std::f64::consts::LN_2) * (R::of(-5.55472 * 2.0) * vh - R::of(6.98316))
+}
+
 /// F0 = 0.04(1−m) + a·m.
 pub fn f0<R: Real>(albedo: V3<R>, metallic: R) -> V3<R> {
     albedo.map(|a| R::of(DIELECTRIC_F0) * (R::of(1.0) - metallic) + a * metallic)
@@ -143,16 +148,9 @@ pub fn sample_weight<R: Real>(masking: Masking, c: &Cosines<R>, r: R) -> R {
     masking.at(c.nl, r) * masking.at(c.nv, r) * c.nl * c.vh / c.nh
 }
 
-/// ψ_D = ∂ln D/∂r = 4/r − 8r³q/(q(r⁴−1)+1), q = nh².
-pub fn d_ln_ndf<R: Real>(nh: R, r: R) -> R {
-    let q = nh * nh;
-    let r3 = r * r * r;
-    R::of(4.0) / r - R::of(8.0) * r3 * q / (q * (r3 * r - R::of(1.0)) + R::of(1.0))
-}
-
-/// ψ_D at a half-vector drawn by [`sample_half_vector`] with the same r: 4(2u−1)/r. With q = (1−u)/((1−u)+α²u) the
-/// general form reduces to this; it has no cancellation, and its mean over u is visibly 0, as D nh integrates to 1 for
-/// every r.
+/// ψ_D = ∂ln D/∂r = 4/r − 8r³q/(q(r⁴−1)+1), q = nh², at a half-vector drawn by [`sample_half_vector`] with the same r:
+/// with q = (1−u)/((1−u)+α²u) that is 4(2u−1)/r, which has no cancellation, and whose mean over u is visibly 0, as D nh
+/// integrates to 1 for every r.
 pub fn d_ln_ndf_sampled<R: Real>(u: R, r: R) -> R {
     R::of(4.0) * (R::of(2.0) * u - R::of(1.0)) / r
 }
@@ -181,6 +179,13 @@ mod tests {
             }
         }
         all
+    }
+
+    /// ψ_D for any half-vector.
+    fn d_ln_ndf<R: Real>(nh: R, r: R) -> R {
+        let q = nh * nh;
+        let r3 = r * r * r;
+        R::of(4.0) / r - R::of(8.0) * r3 * q / (q * (r3 * r - R::of(1.0)) + R::of(1.0))
     }
 
     #[test]

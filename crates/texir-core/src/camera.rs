@@ -44,6 +44,14 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// The principal point of a pinhole, pixels, where it lies outside of the image: most likely of intrinsics for images
+    /// of another size.
+    pub fn centre_outside(&self) -> Option<[f32; 2]> {
+        let Projection::Pinhole { cx, cy, .. } = self.projection else { return None };
+        let inside = |at: f32, size: usize| (0.0..=size as f32).contains(&at);
+        (!(inside(cx, self.width) && inside(cy, self.height))).then_some([cx, cy])
+    }
+
     /// Errors on an image without pixels or with 2³² of them or more, on numbers of the projection that are not finite
     /// or focal lengths of 0, and on a pose that is not rigid: one that scales, shears or mirrors would be projected
     /// wrongly.

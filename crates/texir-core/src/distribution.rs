@@ -1,5 +1,7 @@
 //! Drawing one of several in proportion to weights, by inverting their running sums.
 
+use crate::rng::BELOW_ONE;
+
 /// Inverts a CDF: the item at `u` in [0, 1), and how far `u` lies within its share, in [0, 1): what is
 /// left of a number that chose an item is still uniform, so that well-spread points stay so within each item.
 pub fn sample_cdf(items: usize, cdf: impl Fn(usize) -> f32, u: f32) -> (usize, f32) {
@@ -15,9 +17,6 @@ pub fn sample_cdf(items: usize, cdf: impl Fn(usize) -> f32, u: f32) -> (usize, f
     let before = if low > 0 { cdf(low - 1) } else { 0.0 };
     (low, ((u - before) / (cdf(low) - before)).clamp(0.0, BELOW_ONE))
 }
-
-/// The largest number below 1 with 24 bits.
-const BELOW_ONE: f32 = 1.0 - 1.0 / 16_777_216.0;
 
 /// Running sums of weights over their total; 1 from the last weight above 0 on, whatever was rounded.
 pub(crate) fn cdf(weights: &[f32]) -> Vec<f32> {

@@ -197,13 +197,8 @@ impl Builder {
 
     /// An image with its file's bytes inside.
     pub fn image(&mut self, name: Option<String>, mime_type: &str, file: &[u8]) -> Image {
-        let append = |bytes: &mut Vec<u8>| {
-            bytes.extend_from_slice(file);
-            Ok::<(), std::convert::Infallible>(())
-        };
-        let Ok(view) = self.view("image", None, append);
         Image {
-            buffer_view: Some(view),
+            buffer_view: Some(self.view("image", None, file)),
             mime_type: Some(MimeType(mime_type.to_owned())),
             name,
             uri: None,
@@ -212,26 +207,21 @@ impl Builder {
         }
     }
 
-    /// A buffer view over what `append` adds to the binary chunk.
-    fn view<E>(
-        &mut self,
-        name: &str,
-        target: Option<Target>,
-        append: impl FnOnce(&mut Vec<u8>) -> std::result::Result<(), E>,
-    ) -> std::result::Result<Index<View>, E> {
+    /// A buffer view over bytes that are added to the binary chunk.
+    fn view(&mut self, name: &str, target: Option<Target>, bytes: &[u8]) -> Index<View> {
         self.pad();
         let offset = self.bytes.len();
-        append(&mut self.bytes)?;
-        Ok(self.root.push(View {
+        self.bytes.extend_from_slice(bytes);
+        self.root.push(View {
             buffer: Index::new(0),
-            byte_length: USize64::from(self.bytes.len() - offset),
+            byte_length: USize64::from(bytes.len()),
             byte_offset: Some(USize64::from(offset)),
             byte_stride: None,
             name: Some(name.to_owned()),
             target: target.map(Valid),
             extensions: None,
             extras: None,
-        }))
+        })
     }
 
     fn accessor<T: bytemuck::Pod>(
@@ -242,11 +232,7 @@ impl Builder {
         values: &[T],
     ) -> Index<Accessor> {
         let target = if matches!(shape, Type::Scalar) { Target::ElementArrayBuffer } else { Target::ArrayBuffer };
-        let append = |bytes: &mut Vec<u8>| {
-            bytes.extend_from_slice(bytemuck::cast_slice(values));
-            Ok::<(), std::convert::Infallible>(())
-        };
-        let Ok(view) = self.view(name, Some(target), append);
+        let view = self.view(name, Some(target), bytemuck::cast_slice(values));
         self.root.push(Accessor {
             buffer_view: Some(view),
             byte_offset: None,
@@ -264,17 +250,11 @@ impl Builder {
     }
 
     fn texture(&mut self, path: &Path, name: &str, pixels: &Raster<[u8; 3]>, sampler: Index<Sampler>) -> Result<Info> {
-        let view = self
-            .view(name, None, |bytes| encode_png(pixels, bytes))
+        let mut png = Vec::new();
+        encode_png(pixels, &mut png)
             .map_err(|e| Error::file(path, format!("the {name} image cannot be encoded: {e}")))?;
-        let source = self.root.push(Image {
-            buffer_view: Some(view),
-            mime_type: Some(MimeType("image/png".to_owned())),
-            name: Some(name.to_owned()),
-            uri: None,
-            extensions: None,
-            extras: None,
-        });
+        let image = self.image(Some(name.to_owned()), "image/png", &png);
+        let source = self.root.push(image);
         let texture =
             Texture { name: Some(name.to_owned()), sampler: Some(sampler), source, extensions: None, extras: None };
         let index = self.root.push(texture);

@@ -52,6 +52,9 @@ pub fn sobol2(index: u32, seed: u32) -> [f32; 2] {
     [to_unit(x), to_unit(y)]
 }
 
+/// The largest number below 1 with 24 bits.
+pub const BELOW_ONE: f32 = 1.0 - 1.0 / 16_777_216.0;
+
 /// The upper 24 bits as a number in [0, 1).
 pub(crate) fn to_unit(x: u32) -> f32 {
     (x >> 8) as f32 / 16_777_216.0

@@ -155,7 +155,7 @@ mod tests {
         for t in 0..old.triangles.len() as u32 {
             assert_eq!((mesh.corners(t), mesh.corner_normals(t)), (old.corners(t), old.corner_normals(t)));
         }
-        let report = atlas_report(&mesh, side);
+        let report = atlas_report(&mesh, [side; 2]);
         assert_eq!((report.overlapping_fraction, report.outside_unit_square_triangles), (0.0, 0));
         assert!(report.covered_fraction > 0.5, "{report:?}");
         // Faces by the texels of their charts, and who comes near them.

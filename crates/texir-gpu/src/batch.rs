@@ -43,7 +43,7 @@ pub(crate) const BATCH_BYTES: usize = 64 << 20;
 /// How samples are dealt to threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GatherShape {
-    /// Threads that share an item: a power of two, at most 64.
+    /// Threads that share an item: a power of two, at most 64, those of a workgroup.
     pub threads_per_item: u32,
     /// Rays that a thread traces in one dispatch. At most 64: software drivers silently end a thread after 65,535 loop
     /// iterations, of which a ray takes a few hundred.
@@ -51,9 +51,12 @@ pub struct GatherShape {
 }
 
 impl GatherShape {
+    const MOST_THREADS: u32 = WORKGROUP as u32;
+
     /// The shape for a number of samples: as many threads as there is work for.
     pub const fn for_samples(samples: u32) -> Self {
-        let threads_per_item = if samples >= 64 { 64 } else { samples.next_power_of_two() };
+        let threads_per_item =
+            if samples >= Self::MOST_THREADS { Self::MOST_THREADS } else { samples.next_power_of_two() };
         Self { threads_per_item, rays_per_thread: 32 }
     }
 
@@ -65,13 +68,14 @@ impl GatherShape {
     /// Checks the bounds of the fields.
     pub(crate) fn check(self) -> Result<Self> {
         if self.threads_per_item.is_power_of_two()
-            && self.threads_per_item <= 64
+            && self.threads_per_item <= Self::MOST_THREADS
             && (1..=64).contains(&self.rays_per_thread)
         {
             return Ok(self);
         }
         Err(Error::invalid(format!(
-            "gather shape {self:?}: threads_per_item must be a power of two up to 64, and rays_per_thread between 1 and 64"
+            "gather shape {self:?}: threads_per_item must be a power of two up to {}, and rays_per_thread between 1 and 64",
+            Self::MOST_THREADS
         )))
     }
 }

@@ -7,9 +7,9 @@ use texir_core::backend::{Gathered, Projected, RoughnessGradient};
 use texir_core::brdf::{DIELECTRIC_F0, Masking};
 use texir_core::environment::{BrightPixel, BrightRow};
 use texir_core::neighbours::{Entry, FAR, NEAR};
-use texir_core::rng::MORTON_SIDE;
+use texir_core::rng::{BELOW_ONE, MORTON_SIDE};
 use texir_core::scene::trace::BACK_FACE_BIAS;
-use texir_core::scene::{MAX_LEVELS, MOST_SHEETS, SLAB_ROUNDING};
+use texir_core::scene::{DITHER_BLOCK, MAX_LEVELS, MOST_SHEETS, SLAB_ROUNDING};
 use texir_core::specular_table::{LOBES, NODES, STRATA};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::Tap;
@@ -238,6 +238,7 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("primary", "WORKGROUP", WORKGROUP as f64),
         ("primary", "IN_PARTS", IN_PARTS.into()),
         ("primary", "MIRRORED", MIRRORED.into()),
+        ("primary", "DITHER_BLOCK", DITHER_BLOCK.into()),
         ("punctual", "MOST_SHEETS", MOST_SHEETS.into()),
         ("primary", "STACK_SIZE", (MAX_LEVELS + 1) as f64),
         ("primary", "BACK_FACE_BIAS", BACK_FACE_BIAS),
@@ -245,6 +246,7 @@ fn constants() -> Vec<(&'static str, &'static str, f64)> {
         ("primary", "NO_TRIANGLE", Hit::NONE.into()),
         ("primary", "EQUIRECTANGULAR", EQUIRECTANGULAR.into()),
         ("shade", "DIELECTRIC_F0", DIELECTRIC_F0),
+        ("irradiance", "BELOW_ONE", BELOW_ONE.into()),
         ("irradiance", "MORTON_SIDE", MORTON_SIDE.into()),
         ("group_loss", "THREADS", THREADS.into()),
         ("denoise", "NEAR_COLUMNS", NEAR as f64),

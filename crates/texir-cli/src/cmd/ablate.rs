@@ -173,12 +173,12 @@ impl Ablate {
     /// written since.
     fn is_of_this_capture(&self, out: &Path, capture: &Capture) -> bool {
         let written = |path: &Path| path.metadata().and_then(|known| known.modified()).ok();
-        let made = written(&out.join(RUN));
+        let Some(made) = written(&out.join(RUN)) else { return false };
         eval::read_run(out).is_ok_and(|run| {
             run.version == env!("CARGO_PKG_VERSION")
                 && run.capture == fit::absolute(&capture.root)
                 && !self.capture.is_overridden()
-                && capture.files().iter().all(|file| written(file.as_ref()) <= made)
+                && capture.files().iter().all(|file| written(file).is_some_and(|time| time <= made))
         })
     }
 }

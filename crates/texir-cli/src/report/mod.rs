@@ -34,7 +34,7 @@ pub struct Report {
     pub curves: Vec<Curve>,
     /// The views.
     pub views: Vec<ViewPanel>,
-    /// Names and values: backend, seed, timings.
+    /// Names and values: version, capture, backend, timings.
     pub facts: Vec<(String, String)>,
     /// `settings.toml`.
     pub settings: String,

@@ -124,7 +124,7 @@ fn scenes_that_cannot_be_baked_say_why() {
     bake(&scene.with_extension("exr"), &[]).complains(&["scene.glb", "--output"]);
     bake(&out, &["--environment", "missing.hdr"]).complains(&["missing.hdr"]);
     bake(&out, &["--tolerance", "nan"]).complains(&["nan", "--tolerance", "at least 0"]);
-    for share in ["2", "1", "0", "nan"] {
+    for share in ["2", "1", "0", "-1", "nan"] {
         bake(&out, &["--error", share]).complains(&["--error", "above 0 and below 1"]);
     }
     bake(&out, &["--max-memory", "1MiB"]).complains(&["limit of memory is 1.0 MiB", "32×32", "raise it"]);

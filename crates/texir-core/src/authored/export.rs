@@ -15,6 +15,7 @@ use gltf_json::{Index, Material, Mesh as GltfMesh, Node, Scene, Texture};
 use serde_json::{Value, json};
 
 use super::gltf::{Model, Part};
+use super::layout::{PlacedPart, placed};
 use super::materials::{for_fields, materials};
 use super::texture::encoded;
 use crate::error::{Error, Result};
@@ -49,6 +50,8 @@ pub fn write_lightmapped_glb(
     let from = document.into_json();
     let root = &mut builder.root;
     (root.textures, root.samplers) = (from.textures, from.samplers);
+    // Whose work it is.
+    (root.asset.copyright, root.asset.extras) = (from.asset.copyright, from.asset.extras);
     let moved = model.lightmap_set != Some(LIGHTMAP_SET);
     root.materials = materials(source, from.materials, moved)?;
     let mut default = None;
@@ -61,11 +64,10 @@ pub fn write_lightmapped_glb(
 
     // Those of the lightmap, which has some of the rows that are baked.
     let rows = Vec2::new(1.0, model.size[1] as f32 / model.rows as f32);
-    let (mut nodes, mut first) = (Vec::new(), 0);
-    for part in &model.parts {
+    let mut nodes = Vec::new();
+    for PlacedPart { part, vertices, .. } in placed(&model.parts) {
         let material = part.material.map(|index| Index::new(index as u32)).or(default);
-        let lightmap = model.mesh.uvs[first..first + part.positions.len()].iter().map(|uv| uv * rows).collect();
-        first += part.positions.len();
+        let lightmap = model.mesh.uvs[vertices].iter().map(|uv| uv * rows).collect();
         // Where the file's own set is the lightmap's, that comes once.
         let displaced = if moved { 1 } else { 2 };
         nodes.push(add(&mut builder, part, material, lightmap, part.uvs.get(displaced..).unwrap_or_default()));

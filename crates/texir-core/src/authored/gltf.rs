@@ -169,7 +169,7 @@ pub fn read_gltf(
     let (mut parts, mut lights) = (Vec::new(), Vec::new());
     geometry::for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
-            let place = format!("primitive {} of node {}", primitive.index(), node.index());
+            let place = format!("primitive {} of {}", primitive.index(), geometry::label(node));
             match geometry::surface(path, &place, &primitive, &buffers, world_from_node)? {
                 Some(surface) => parts.push(Part::new(path, &place, node, primitive.material().index(), surface)?),
                 None => progress.warn(&geometry::no_surface(path, &place, &primitive)),
@@ -177,7 +177,7 @@ pub fn read_gltf(
         }
         if let Some(light) = node.light() {
             let light = punctual(&light, world_from_node);
-            lights.push(light.map_err(|e| Error::file(path, format!("the light of node {}: {e}", node.index())))?);
+            lights.push(light.map_err(|e| Error::file(path, format!("the light of {}: {e}", geometry::label(node))))?);
         }
         Ok(())
     })?;

@@ -1,6 +1,8 @@
 //! Which coordinates a lightmap has: a set that the file brings, where it gives every surface a place of its own, or
 //! new ones.
 
+use std::ops::Range;
+
 use glam::{Vec2, Vec3};
 
 use super::gltf::{Model, Part};
@@ -72,12 +74,32 @@ fn no_lightmap(mesh: &Mesh) -> Option<String> {
     if flat > 0 {
         return Some(format!("{flat} triangles have no area in it"));
     }
-    let report = atlas_report(mesh, TEST_SIZE);
+    let report = atlas_report(mesh, [TEST_SIZE; 2]);
     match report.outside_unit_square_triangles {
         0 if report.overlapping_fraction <= OVERLAP => None,
         0 => Some(format!("surfaces share {:.1} % of the texels", 100.0 * report.overlapping_fraction)),
         outside => Some(format!("{outside} triangles leave [0, 1]")),
     }
+}
+
+/// A part in the mesh of all.
+pub(super) struct PlacedPart<'a> {
+    /// Among the parts.
+    pub index: usize,
+    pub part: &'a Part,
+    pub vertices: Range<usize>,
+    pub triangles: Range<u32>,
+}
+
+/// Parts as they lie in the mesh of all: one behind the other.
+pub(super) fn placed(parts: &[Part]) -> impl Iterator<Item = PlacedPart<'_>> {
+    let (mut vertex, mut triangle) = (0, 0);
+    parts.iter().enumerate().map(move |(index, part)| {
+        let (vertices, triangles) =
+            (vertex..vertex + part.positions.len(), triangle..triangle + part.triangles.len() as u32);
+        (vertex, triangle) = (vertices.end, triangles.end);
+        PlacedPart { index, part, vertices, triangles }
+    })
 }
 
 /// All parts as one mesh, with the lightmap's coordinates of each.

@@ -18,6 +18,8 @@ use crate::surface::{Hit, SurfacePoint};
 const ALBEDO: f32 = 0.5;
 /// Lights, and places on lamps, that are asked for at a place: in a house of many, most shine in other rooms.
 const ASKED: usize = 8;
+/// What lamps send at a smaller cosine than this is nothing: places of one flat lamp see each other by rounding.
+const GRAZING: f32 = 1e-3;
 
 /// Numbers in [0, 1), one after the other.
 pub(super) struct Random {
@@ -151,9 +153,10 @@ impl Reach<'_> {
         let lamp = lamps.place(mesh, false, random);
         let way = Vec3::from(lamp.position) - Vec3::from(place.position);
         let direction = way.try_normalize()?;
-        let back = mesh.face_normal(lamp.triangle).dot(direction) > 0.0;
-        let shines = self.sides[lamp.triangle as usize].shines[usize::from(back)];
-        let faces = Vec3::from(place.normal).dot(direction) > 0.0;
+        let away = mesh.face_normal(lamp.triangle).dot(direction);
+        let back = away > 0.0;
+        let shines = away.abs() > GRAZING && self.sides[lamp.triangle as usize].shines[usize::from(back)];
+        let faces = Vec3::from(place.normal).dot(direction) > GRAZING;
         let length = CLEAR_SHARE as f32 * way.length();
         let is_blocked = || self.scene.is_blocked(V3(place.position), V3(direction.to_array()), length);
         (shines && faces && !is_blocked()).then_some((lamp.triangle, back))

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use super::gltf::{Model, Part};
+use super::layout::{PlacedPart, placed};
 use super::reach::Patch;
 use crate::disjoint_sets::DisjointSets;
 use crate::mesh::weld;
@@ -24,19 +25,16 @@ impl Model {
 
     /// The pieces of all double-sided primitives, of which some triangles shine.
     pub(super) fn shells(&self, shines: &[bool]) -> Vec<Shell> {
-        let mut first = 0;
-        let mut shells = Vec::new();
-        for (i, part) in self.parts.iter().enumerate() {
-            if self.has_two_sides(part) {
-                shells.extend(pieces(part).into_iter().map(|piece| {
-                    let triangles: Vec<u32> = piece.iter().map(|(index, _)| first + index).collect();
-                    let shines = triangles.iter().any(|&triangle| shines[triangle as usize]);
-                    Shell { part: i, is_lamp: shines && !is_closed(&piece), patch: Patch::new(&self.mesh, triangles) }
-                }));
-            }
-            first += part.triangles.len() as u32;
-        }
-        shells
+        let shells_of = |placed: PlacedPart<'_>| {
+            let shell = move |piece: Vec<(u32, [u32; 3])>| {
+                let triangles: Vec<u32> = piece.iter().map(|(index, _)| placed.triangles.start + index).collect();
+                let shines = triangles.iter().any(|&triangle| shines[triangle as usize]);
+                let is_lamp = shines && !is_closed(&piece);
+                Shell { part: placed.index, is_lamp, patch: Patch::new(&self.mesh, triangles) }
+            };
+            pieces(placed.part).into_iter().map(shell)
+        };
+        placed(&self.parts).filter(|placed| self.has_two_sides(placed.part)).flat_map(shells_of).collect()
     }
 }
 

@@ -7,9 +7,11 @@
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
 
+use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::gltf::{Face, Model, OtherSide, Part};
+use super::layout::{PlacedPart, placed};
 use super::reach::{Patch, Random, Reach, SidesOfTriangle, Walk};
 use super::shells::Shell;
 use crate::atlas::MAX_SIDE;
@@ -18,23 +20,29 @@ use crate::error::{Result, listed};
 use crate::progress::{Progress, Task};
 use crate::rng::hash2;
 use crate::scene::Scene;
+use crate::surface::SurfacePoint;
 
 /// A side is lit if this share of the walks from it finds light.
 const LIT: f64 = 1.0 / 256.0;
 /// It is dim if less than this share of those that find light from the other side do: what is inside of something has
 /// cracks.
 const OF_THE_OTHER: f64 = 1.0 / 16.0;
-/// Other sides are left out over which, together, less than this share of the light comes to any surface: what is seen
+/// Other sides are left out over which, together, less than this share of the light comes to every place: what is seen
 /// through cracks, and the backs of whole rooms.
-const RARE: f64 = 1.0 / 64.0;
-/// Of surfaces that find less than this share of the light that the brightest does, that share of it counts.
+const RARE: f64 = 1.0 / 32.0;
+/// Places of all surfaces, about: a floor has little of its light from below one of its tables, but almost all of it
+/// right there.
+const CELLS: f32 = 2048.0;
+/// Walks from a place.
+const PER_CELL: f32 = 64.0;
+/// At places that find less than this share of the light that the brightest surface does, that share of it counts.
 const DARKEST: f64 = 1.0 / 16.0;
 /// What emits at least this share of its material's mean is a lamp.
 const SHINING: f32 = 1.0 / 16.0;
-/// Walks of all surfaces together, from each of their sides.
-const WALKS: usize = 1 << 19;
+/// Walks of all double-sided surfaces together, from each of their sides, that ask whether it is lit.
+const WALKS: u32 = 1 << 19;
 /// Walks from a side of a surface.
-const PER_SIDE: RangeInclusive<usize> = 16..=1024;
+const PER_SIDE: RangeInclusive<u32> = 16..=1024;
 /// Surfaces that are looked at before progress is told.
 const AT_ONCE: usize = 64;
 
@@ -144,33 +152,42 @@ impl Model {
         for (i, shell) in (0..).zip(shells) {
             shell.patch.triangles.iter().for_each(|triangle| shell_of[*triangle as usize] = Some(i));
         }
-        let mut first = 0;
-        let single_sided: Vec<Patch> = (self.parts.iter())
-            .filter_map(|part| {
-                let triangles = first..first + part.triangles.len() as u32;
-                first = triangles.end;
-                (!self.has_two_sides(part)).then(|| Patch::new(mesh, triangles.collect()))
-            })
+        let single_sided: Vec<Patch> = placed(&self.parts)
+            .filter(|placed| !self.has_two_sides(placed.part))
+            .map(|placed| Patch::new(mesh, placed.triangles.collect()))
             .collect();
         let shown = shells.iter().zip(choices).map(|(shell, choice)| (&shell.patch, choice.is_turned));
         let shown: Vec<(&Patch, bool)> = shown.chain(single_sided.iter().map(|patch| (patch, false))).collect();
-        let light = from_each(&shown, "sides that are seen", progress, |index, (patch, back), walks| {
-            let mut over = OverOthers { shell_of: &shell_of, choices, path: vec![], light: LightOverOthers::default() };
-            for walk in 0..walks {
+        let area_of_all: f32 = shown.iter().map(|(patch, _)| patch.area).sum();
+        let edge = (area_of_all / CELLS).sqrt();
+        let walk_from = |mut cells: LightByCell, place: SurfacePoint, mut random: Random| {
+            let light = cells.entry((Vec3::from(place.position) / edge).floor().as_ivec3()).or_default();
+            let mut over = OverOthers { shell_of: &shell_of, choices, path: vec![], light };
+            over.light.walks += 1;
+            reach.walk(place, &mut random, &mut over);
+            cells
+        };
+        let light = from_each(&shown, "sides that are seen", progress, |index, (patch, back)| {
+            let walks = PER_CELL * CELLS * patch.area / area_of_all;
+            let walks = 0..(walks as u32).max(*PER_SIDE.start());
+            let add_walk = |cells: LightByCell, walk: u32| {
                 let mut random = Random::new(hash2(walk, hash2(index, 2)));
-                let place = patch.place(mesh, *back, &mut random);
-                over.path.clear();
-                reach.walk(place, &mut random, &mut over);
-            }
-            over.light
+                walk_from(cells, patch.place(mesh, *back, &mut random), random)
+            };
+            walks.into_par_iter().fold(LightByCell::new, add_walk).reduce(LightByCell::new, merged)
         })?;
-        let brightest = light.iter().map(|light| light.found).max().unwrap_or(0);
+        let share = |cells: &LightByCell| {
+            let (found, walks) = cells.values().fold((0, 0), |(found, walks), l| (found + l.found, walks + l.walks));
+            f64::from(found) / f64::from(walks.max(1))
+        };
+        let brightest = light.iter().map(share).fold(0.0, f64::max);
         let mut seen = vec![false; shells.len()];
         let essential = |light: LightOverOthers| {
-            let found = f64::from(light.found).max(DARKEST * f64::from(brightest));
-            light.essential(RARE * found, shells)
+            let found = f64::from(light.found).max(DARKEST * brightest * f64::from(light.walks));
+            // One walk may be chance.
+            light.essential((RARE * found).max(1.0), shells)
         };
-        light.into_iter().flat_map(essential).for_each(|shell| seen[shell as usize] = true);
+        light.into_iter().flatten().flat_map(|(_, l)| essential(l)).for_each(|shell| seen[shell as usize] = true);
         Ok(seen)
     }
 
@@ -197,33 +214,30 @@ impl Model {
         self.size[1] = 2 * self.rows;
         mesh.uvs.iter_mut().for_each(|uv| uv.y *= 0.5);
         let mut of_part = shells.chunk_by(|a, b| a.part == b.part).peekable();
-        let (mut vertices, mut first_triangle) = (0..0, 0);
-        for (i, part) in self.parts.iter().enumerate() {
-            vertices = vertices.end..vertices.end + part.positions.len();
-            if let Some(shells) = of_part.next_if(|shells| shells[0].part == i) {
-                let added = mesh.positions.len();
-                mesh.positions.extend_from_within(vertices.clone());
-                mesh.normals.extend_from_within(vertices.clone());
-                mesh.uvs.extend_from_within(vertices.clone());
-                mesh.normals[added..].iter_mut().for_each(|normal| *normal = -*normal);
-                mesh.uvs[added..].iter_mut().for_each(|uv| uv.y += 0.5);
-                let triangles = || shells.iter().flat_map(|shell| &shell.patch.triangles);
-                for triangle in triangles() {
-                    let moved = (added - vertices.start) as u32;
-                    let [a, b, c] = mesh.triangles[*triangle as usize].map(|vertex| vertex + moved);
-                    mesh.triangles.push([a, c, b]);
-                }
-                let triangles = triangles().map(|triangle| triangle - first_triangle).collect();
-                self.other_sides.push(OtherSide { part: i, triangles });
+        for PlacedPart { index, vertices, triangles: of_mesh, .. } in placed(&self.parts) {
+            let Some(shells) = of_part.next_if(|shells| shells[0].part == index) else { continue };
+            let added = mesh.positions.len();
+            mesh.positions.extend_from_within(vertices.clone());
+            mesh.normals.extend_from_within(vertices.clone());
+            mesh.uvs.extend_from_within(vertices.clone());
+            mesh.normals[added..].iter_mut().for_each(|normal| *normal = -*normal);
+            mesh.uvs[added..].iter_mut().for_each(|uv| uv.y += 0.5);
+            let triangles = || shells.iter().flat_map(|shell| &shell.patch.triangles);
+            for triangle in triangles() {
+                let moved = (added - vertices.start) as u32;
+                let [a, b, c] = mesh.triangles[*triangle as usize].map(|vertex| vertex + moved);
+                mesh.triangles.push([a, c, b]);
             }
-            first_triangle += part.triangles.len() as u32;
+            let triangles = triangles().map(|triangle| triangle - of_mesh.start).collect();
+            self.other_sides.push(OtherSide { part: index, triangles });
         }
     }
 }
 
 /// Which side of every shell the lightmap is to hold, and whether there is light on the other.
 fn choose(reach: &Reach<'_>, shells: &[Shell], progress: &dyn Progress) -> Result<Vec<Choice>> {
-    from_each(shells, "sides that are lit", progress, |index, shell, walks| {
+    let walks = (WALKS / shells.len().max(1) as u32).clamp(*PER_SIDE.start(), *PER_SIDE.end());
+    from_each(shells, "sides that are lit", progress, |index, shell| {
         let found = [false, true].map(|back| {
             let finds_light = |walk: &u32| {
                 let mut random = Random::new(hash2(*walk, hash2(index, u32::from(back))));
@@ -266,7 +280,7 @@ struct OverOthers<'a> {
     choices: &'a [Choice],
     /// The shells whose other sides were met on the way.
     path: Vec<u32>,
-    light: LightOverOthers,
+    light: &'a mut LightOverOthers,
 }
 
 impl Walk for OverOthers<'_> {
@@ -293,9 +307,23 @@ impl Walk for OverOthers<'_> {
     }
 }
 
-/// How often walks from a surface found light.
+/// What walks found, by the cell of space that they set out from.
+type LightByCell = HashMap<IVec3, LightOverOthers>;
+
+/// What all walks of both found.
+fn merged(mut all: LightByCell, others: LightByCell) -> LightByCell {
+    for (cell, others) in others {
+        let light = all.entry(cell).or_default();
+        (light.walks, light.found) = (light.walks + others.walks, light.found + others.found);
+        others.over.into_iter().for_each(|(shell, walks)| *light.over.entry(shell).or_default() += walks);
+    }
+    all
+}
+
+/// How often walks from a place found light.
 #[derive(Default)]
 struct LightOverOthers {
+    walks: u32,
     found: u32,
     /// By the shells over whose other sides they went.
     over: HashMap<u32, u32>,
@@ -322,19 +350,18 @@ impl LightOverOthers {
     }
 }
 
-/// What is found of surfaces, each by its index and with so many walks.
+/// What is found of surfaces, each by its index.
 fn from_each<S: Sync, T: Send>(
     surfaces: &[S],
     label: &str,
     progress: &dyn Progress,
-    find: impl Fn(u32, &S, u32) -> T + Sync,
+    find: impl Fn(u32, &S) -> T + Sync,
 ) -> Result<Vec<T>> {
-    let walks = (WALKS / surfaces.len().max(1)).clamp(*PER_SIDE.start(), *PER_SIDE.end()) as u32;
     let _task = Task::start(progress, label, surfaces.len() as u64, "surfaces");
     let mut found = Vec::with_capacity(surfaces.len());
     for (chunk, first) in surfaces.chunks(AT_ONCE).zip((0..).step_by(AT_ONCE)) {
         progress.check()?;
-        found.par_extend(chunk.par_iter().enumerate().map(|(i, surface)| find(first + i as u32, surface, walks)));
+        found.par_extend(chunk.par_iter().enumerate().map(|(i, surface)| find(first + i as u32, surface)));
         progress.advance(chunk.len() as u64);
     }
     Ok(found)

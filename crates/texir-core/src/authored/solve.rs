@@ -34,7 +34,7 @@ pub struct Bounces {
     /// squares, below four times this fraction of the local light.
     pub tolerance: f32,
     /// Maximum number of bounces; 0: direct light only.
-    pub most: u32,
+    pub max_bounces: u32,
 }
 
 /// Irradiance with its bounces.
@@ -84,7 +84,7 @@ pub fn irradiance(
             series.means[0]
         )));
     }
-    for k in 1..=bounces.most {
+    for k in 1..=bounces.max_bounces {
         if series.remainder().is_within(bounces.tolerance) {
             break;
         }

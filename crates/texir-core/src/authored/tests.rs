@@ -117,6 +117,15 @@ impl Written {
     }
 }
 
+#[test]
+fn whose_work_a_scene_is_stays_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let more = json!({ "asset": { "version": "2.0", "copyright": "somebody", "extras": { "license": "CC BY 4.0" } } });
+    let Written(written, _) = Written::of(&write_squares(folder.path(), &[(&[], None)], more), false);
+    assert_eq!(written["asset"]["copyright"], "somebody");
+    assert_eq!(written["asset"]["extras"]["license"], "CC BY 4.0");
+}
+
 /// An image as PNG, as a data URI.
 fn png_of(image: &Raster<[u8; 3]>) -> String {
     let mut file = Vec::new();
@@ -329,7 +338,7 @@ fn told(source: PathBuf, most: u32, limit: BounceLimit) -> [Option<String>; 2] {
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 0, 1), error: None, denoise: None };
-    let bounces = Bounces { quality, tolerance: 0.005, most };
+    let bounces = Bounces { quality, tolerance: 0.005, max_bounces: most };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     let unlit = sides.into_iter().chain(solved.unlit()).reduce(|a, b| format!("{a}\n{b}"));
     [solved.unfinished(&model, bounces.tolerance, limit), unlit]
@@ -473,6 +482,9 @@ fn other_sides_are_baked_where_they_are_lit_and_seen() {
     // The second square lies a metre above the first.
     let (floor, above) = ((0, Mat4::IDENTITY), (1, Mat4::IDENTITY));
     assert_eq!(sides_baked(&[floor, above], vec![None, sheet()], 1.0), 2);
+    // To most of a large floor it is nothing, but to what lies right below it is.
+    let large = (0, about(Vec3::new(0.5, 0.0, 0.5), Mat4::from_scale(Vec3::splat(20.0))));
+    assert_eq!(sides_baked(&[large, above], vec![None, sheet()], 1.0), 2);
     // Negative controls: it has one side; nobody sees the other; there is no light.
     assert_eq!(sides_baked(&[floor, above], vec![None, None], 1.0), 1);
     assert_eq!(sides_baked(&[above], vec![None, sheet()], 1.0), 1);
@@ -537,7 +549,7 @@ fn each_baked(model: &Model, most: u32, mut visit: impl FnMut(&SurfacePoint, [f3
     let texels = Texels::map(&mut backend, model.size, Workspace::Memory, &Silent).unwrap();
     let surfaces = model.surfaces(&mut backend, &texels, None).unwrap();
     let quality = Quality { gather: Gather::new(16, 16, 1), error: None, denoise: None };
-    let bounces = Bounces { quality, tolerance: 0.0, most };
+    let bounces = Bounces { quality, tolerance: 0.0, max_bounces: most };
     let solved = irradiance(&mut backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap();
     let baked = solved.solution.into_baked().unwrap();
     let points = texels.points().flat_map(|points| points.unwrap().into_owned());
@@ -866,7 +878,7 @@ fn surfaces_that_no_scene_has_are_refused() {
     }
     let quality = Quality::denoised(Gather::new(4, 4, 0));
     let error = |backend: &mut CpuBackend, tolerance: f32| {
-        let bounces = Bounces { quality, tolerance, most: 1 };
+        let bounces = Bounces { quality, tolerance, max_bounces: 1 };
         irradiance(backend, &texels, &surfaces, &bounces, &Checkpoints::none(), &Silent).unwrap_err().to_string()
     };
     assert!(error(&mut backend, f32::NAN).contains("tolerance of bounces is NaN"));

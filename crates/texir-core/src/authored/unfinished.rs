@@ -9,7 +9,7 @@ const STEADY: f64 = 0.99;
 /// Materials that reflect this much are named where bounces do not end.
 const NEARLY_WHITE: f32 = 0.95;
 
-/// What [`Bounces::most`](super::Bounces::most) is to whoever set it.
+/// What [`Bounces::max_bounces`](super::Bounces::max_bounces) is to whoever set it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BounceLimit {
     /// As many bounces as are wanted: that light is left at their end is no news.

@@ -79,8 +79,8 @@ pub fn bounce_workspace_within(
     }
     // Maps of the same charts need memory by their area.
     let share = limit.0.saturating_sub(beside + work) as f64 / (texels * SURFACES) as f64;
-    let largest = (width.max(height) as f64 * share.sqrt()) as usize / 64 * 64;
-    let advice = if largest > 0 { format!("raise it, or bake {largest} texels a side") } else { "raise it".into() };
+    let widest = (width as f64 * share.sqrt()) as usize / 64 * 64;
+    let advice = if widest > 0 { format!("raise it, or bake a map {widest} texels wide") } else { "raise it".into() };
     Err(Error::invalid(format!(
         "the limit of memory is {limit}, but all the light of a scene with {} triangles, read in {}, on a map of {width}×{height} texels \
          needs about {least}: {advice}",

@@ -339,7 +339,7 @@ fn bounces_in_files_have_the_bits_of_those_in_memory() {
     };
     for (error, denoise) in [(None, None), (Some(0.3), Some(Denoiser::Regression))] {
         let quality = Quality { gather: GATHER, error, denoise };
-        let bounces = Bounces { quality, tolerance: 1e-3, most: 4 };
+        let bounces = Bounces { quality, tolerance: 1e-3, max_bounces: 4 };
         let mut solve = |workspace| {
             let texels = Texels::map(&mut backend, [LARGE; 2], workspace, &Silent).unwrap();
             let none = Checkpoints::none();
@@ -412,16 +412,24 @@ fn what_a_bake_keeps_in_memory_follows_from_the_budget() {
 #[test]
 fn bounces_that_do_not_fit_are_refused_with_a_size_that_does() {
     let (scene, _) = strips();
-    let beside = |limit, images, side: usize| {
-        bounce_workspace_within(limit, Path::new("x.partial"), scene.mesh(), images, [side; 2])
-    };
+    let of_map =
+        |limit, images, size| bounce_workspace_within(limit, Path::new("x.partial"), scene.mesh(), images, size);
+    let beside = |limit, images, side: usize| of_map(limit, images, [side; 2]);
     let plan = |limit, side| beside(limit, 0, side);
     assert_eq!(plan(ByteSize::gib(1), 1024).unwrap(), Workspace::Memory);
     let Workspace::Disk { memory, .. } = plan(ByteSize::gib(1), 2048).unwrap() else { panic!("in memory") };
     assert!(memory < ByteSize::mib(720) && memory > ByteSize::mib(600), "{memory}");
     let error = plan(ByteSize::gib(1), 4096).unwrap_err().to_string();
-    let side: usize = error.split("or bake ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap().parse().unwrap();
+    let width = |error: &str| -> usize {
+        error.split("bake a map ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap()
+    };
+    let side = width(&error);
     assert!((2048..4096).contains(&side) && plan(ByteSize::gib(1), side).is_ok(), "{error}");
+    // With other sides a map has twice the rows.
+    let tall = |limit, width| of_map(limit, 0, [width, 2 * width]);
+    let error = tall(ByteSize::mib(512), 2048).unwrap_err().to_string();
+    let width = width(&error);
+    assert!((1024..2048).contains(&width) && tall(ByteSize::mib(512), width).is_ok(), "{error}");
     let error = plan(ByteSize::mib(1), 64).unwrap_err().to_string();
     assert!(error.ends_with(": raise it"), "{error}");
     let error = beside(ByteSize::gib(1), 1 << 30, 64).unwrap_err().to_string();

@@ -10,8 +10,13 @@ const ENCODED: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Extensions of meshes, in the order in which they are looked for.
 const MESH: [&str; 4] = ["obj", "glb", "gltf", "ply"];
 
+/// The path that `name` stands for in `folder`: where there is none with its backslashes, it was written on Windows.
+pub(super) fn with_slashes(folder: &Path, name: &str) -> String {
+    if name.contains('\\') && !folder.join(name).exists() { name.replace('\\', "/") } else { name.to_owned() }
+}
+
 /// `folder/<any of places>/name`, a linear image of the same stem before the named file itself. Where there is none,
-/// the first place that it could have been in: whoever opens it says that it is missing.
+/// the first place that it could have been in, of those that there are: whoever opens it says that it is missing.
 pub(super) fn image(folder: &Path, places: &[&str], name: &str) -> PathBuf {
     let candidates =
         || places.iter().map(|place| if place.is_empty() { folder.join(name) } else { folder.join(place).join(name) });
@@ -19,7 +24,11 @@ pub(super) fn image(folder: &Path, places: &[&str], name: &str) -> PathBuf {
     let linear = LINEAR.iter().find_map(|extension| with_extension(extension));
     let found = linear.or_else(|| candidates().find(|c| c.is_file()));
     let found = found.or_else(|| ENCODED.iter().find_map(|extension| with_extension(extension)));
-    found.or_else(|| candidates().next()).unwrap_or_else(|| folder.join(name))
+    if found.is_none() && name.contains('\\') {
+        return image(folder, places, &name.replace('\\', "/"));
+    }
+    let is_there = |path: &PathBuf| path.parent().is_some_and(Path::is_dir);
+    found.or_else(|| candidates().find(is_there)).unwrap_or_else(|| folder.join(name))
 }
 
 /// The image that `path`, below `folder`, names. For an encoded one what it was merged into: a linear image of the same

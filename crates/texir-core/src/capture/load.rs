@@ -7,7 +7,6 @@ use rayon::prelude::*;
 
 use super::{Capture, LoadOptions, Split, Truth, View, files, import, nerfstudio, upright};
 use crate::atlas::DEFAULT_SIDE;
-use crate::camera::Projection;
 use crate::error::{Error, Result};
 use crate::image_io::{check_whole, read_rgb, read_size};
 use crate::mesh::Mesh;
@@ -124,7 +123,7 @@ fn check_light(root: &Path, views: &[View], progress: &dyn Progress) -> Result<(
 }
 
 fn warn_about_atlas(path: &Path, mesh: &Mesh, progress: &dyn Progress) {
-    for problem in atlas_report(mesh, DEFAULT_SIDE).problems() {
+    for problem in atlas_report(mesh, [DEFAULT_SIDE; 2]).problems() {
         progress.warn(&format!("{}: {problem}; `texir import --unwrap` makes a new atlas", path.display()));
     }
 }
@@ -180,15 +179,9 @@ fn warn_about_axes(root: &Path, views: &[View], progress: &dyn Progress) {
 }
 
 fn warn_about_centres(root: &Path, views: &[View], progress: &dyn Progress) {
-    let outside = |view: &&View| match view.camera.projection {
-        Projection::Equirectangular => false,
-        Projection::Pinhole { cx, cy, .. } => {
-            !((0.0..=view.camera.width as f32).contains(&cx) && (0.0..=view.camera.height as f32).contains(&cy))
-        }
-    };
-    let all: Vec<&View> = views.iter().filter(outside).collect();
-    let Some(first) = all.first() else { return };
-    let Projection::Pinhole { cx, cy, .. } = first.camera.projection else { return };
+    let all: Vec<(&View, [f32; 2])> =
+        views.iter().filter_map(|view| Some((view, view.camera.centre_outside()?))).collect();
+    let Some((first, [cx, cy])) = all.first() else { return };
     progress.warn(&format!(
         "{}: cx, cy: the principal point of {} of {} views lies outside of the image, the first is {:?} with ({cx}, {cy}) of \
          {}×{} pixels: are they in pixels, and of images of this size?",

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::view_names;
+use super::files::{self, view_names};
 use super::{Classes, Distortion, Shot, Split, View, pose};
 use crate::atomic_file::write_atomic;
 use crate::camera::{Camera, Projection};
@@ -61,6 +61,21 @@ struct CameraModel {
     p1: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     p2: Option<f64>,
+    /// instant-ngp's: k1 to k4 are those of OPENCV_FISHEYE.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    is_fisheye: Option<bool>,
+}
+
+impl Transforms {
+    /// All paths to files.
+    fn paths(&mut self) -> impl Iterator<Item = &mut String> {
+        let lists = [&mut self.train_filenames, &mut self.val_filenames, &mut self.test_filenames];
+        self.frames
+            .iter_mut()
+            .flat_map(Frame::paths)
+            .chain(lists.into_iter().flatten().flatten())
+            .chain(&mut self.classes)
+    }
 }
 
 #[derive(Default, Deserialize, Serialize)]
@@ -85,6 +100,14 @@ struct Frame {
     transform_matrix: Vec<Vec<f64>>,
 }
 
+impl Frame {
+    fn paths(&mut self) -> impl Iterator<Item = &mut String> {
+        let Self { file_path, semantic_path, mask_path, room_path, albedo_path, roughness_path, .. } = self;
+        let others = [semantic_path, mask_path, room_path, albedo_path, roughness_path];
+        std::iter::once(file_path).chain(others.into_iter().flatten())
+    }
+}
+
 /// Reads posed views without distortion. Only the file itself is read and checked; whether the images exist is the
 /// caller's concern.
 pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
@@ -107,15 +130,16 @@ pub fn read_transforms(path: impl AsRef<Path>) -> Result<Vec<View>> {
 /// Reads posed views and their lenses. Only the file itself is read and checked.
 pub(super) fn read_shots(path: &Path) -> Result<Vec<Shot>> {
     let text = read_text(path)?;
-    let file: Transforms = serde_json::from_str(&text)
+    let mut file: Transforms = serde_json::from_str(&text)
         .map_err(|e| Error::file(path, format!("is no transforms.json as nerfstudio writes it: {e}")))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    file.paths().for_each(|name| *name = files::with_slashes(folder, name));
     if file.frames.is_empty() {
         return Err(Error::file(path, "frames is empty; expected at least one view"));
     }
     let names = names(path, &file.frames)?;
     check_lists(path, &file)?;
     let splits = SplitLists::new(&file);
-    let folder = path.parent().unwrap_or(Path::new(""));
     let classes = file.classes.as_ref().map(|name| Classes::open(name, folder)).transpose()?.map(Arc::new);
     let view = |(index, (frame, name)): (usize, (&Frame, String))| {
         let place = FrameLocation { path, index, file_path: &frame.file_path };
@@ -242,6 +266,7 @@ impl CameraModel {
             k4: self.k4.or(file.k4),
             p1: self.p1.or(file.p1),
             p2: self.p2.or(file.p2),
+            is_fisheye: self.is_fisheye.or(file.is_fisheye),
         }
     }
 
@@ -276,6 +301,7 @@ impl CameraModel {
         let distortion = match self.camera_model.as_deref() {
             Some("EQUIRECTANGULAR") => None,
             Some("OPENCV_FISHEYE") => Some(Distortion::Fisheye { k: [k1, k2, k3, k4] }),
+            None if self.is_fisheye == Some(true) => Some(Distortion::Fisheye { k: [k1, k2, k3, k4] }),
             _ => Distortion::radial([k1, k2, k3, k4], [0.0; 3], [p1, p2]),
         };
         match distortion {

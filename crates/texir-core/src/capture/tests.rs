@@ -244,6 +244,23 @@ fn intrinsics_may_stand_in_the_file_or_in_the_frame_and_lists_split() {
 }
 
 #[test]
+fn paths_that_windows_wrote_are_read() {
+    let folder = capture();
+    let path = folder.path().join("transforms.json");
+    let expected = load_warned(&folder).0.unwrap().views;
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(
+        &path,
+        ["hdr", "semantic", "mask", "room"]
+            .iter()
+            .fold(text, |text, place| text.replace(&format!("\"{place}/"), &format!("\"{place}\\\\"))),
+    )
+    .unwrap();
+    assert!(std::fs::read_to_string(&path).unwrap().contains("hdr\\\\view_0.exr"));
+    assert_eq!(format!("{:?}", load_warned(&folder).0.unwrap().views), format!("{expected:?}"));
+}
+
+#[test]
 fn a_byte_order_mark_before_transforms_json_is_ignored() {
     let folder = capture();
     let path = folder.path().join("transforms.json");

@@ -199,9 +199,9 @@ impl<R: Real> Pass<R, 12> for Regress<'_, R> {
     #[inline(always)]
     fn found(&self, i: usize, sums: FitSums<R>) -> [V3<R>; 2] {
         // A half's variance over that of the coefficients before anything is seen.
-        let ridge = self.noise[i].relative / R::of(f64::from(2.0 * CURVATURE * CURVATURE));
+        let curved = self.noise[i].relative / R::of(f64::from(2.0 * CURVATURE * CURVATURE));
         let own = self.noisy.at(i);
-        [0, 1].map(|half| sums.fits[half].centre(ridge).unwrap_or(own[half]))
+        [0, 1].map(|half| sums.fits[half].centre(curved).unwrap_or(own[half]))
     }
 }
 
@@ -346,9 +346,9 @@ impl<R: Real> Fit<R> {
         }
     }
 
-    /// The fitted value at the centre, `ridge` the weight of there being no curvature; the weighted mean where nothing
+    /// The fitted value at the centre, `curved` the weight of there being no curvature; the weighted mean where nothing
     /// can be fitted, or extrapolation makes it negative. `None` where neither is a number.
-    fn centre(&self, ridge: R) -> Option<V3<R>> {
+    fn centre(&self, curved: R) -> Option<V3<R>> {
         let (moments, values) = (self.moments.map(Lanes::sum), self.values.map(|terms| terms.map(Lanes::sum)));
         let weight = moments[0].value();
         let mut matrix = [0.0; TERMS * TERMS];
@@ -357,7 +357,7 @@ impl<R: Real> Fit<R> {
                 let product = EXPONENTS.iter().position(|e| *e == [xr + xc, yr + yc])?;
                 matrix[r * TERMS + c] = moments[product].value();
             }
-            let curved = if xr + yr == 2 { ridge.value() } else { 0.0 };
+            let curved = if xr + yr == 2 { curved.value() } else { 0.0 };
             matrix[r * TERMS + r] += if r > 0 { f64::from(RIDGE) * weight + curved } else { 0.0 };
         }
         let mut terms: [[f64; 3]; TERMS] = std::array::from_fn(|k| values.map(|v| v[k].value()));

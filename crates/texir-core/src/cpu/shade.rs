@@ -5,7 +5,9 @@ use super::lighting::Lighting;
 use super::lobe::{LobeSample, sample_lobe};
 use super::sampling::Frame;
 use crate::backend::{RoughnessGradient, Sampling, ShadePoint};
-use crate::brdf::{Masking, d_ln_ndf_sampled, d_ln_schlick, f0, fresnel_weight, g_schlick, sample_weight};
+use crate::brdf::{
+    Masking, d_ln_fresnel_weight, d_ln_ndf_sampled, d_ln_schlick, f0, fresnel_weight, g_schlick, sample_weight,
+};
 use crate::real::{Real, V3};
 use crate::rng::{hash2, sobol2};
 use crate::scene::trace::Trace;
@@ -55,8 +57,7 @@ fn d_sample<R: Real>(
             let d_ln_w =
                 d_ln_schlick(c.nl, c.nv, r) - (one - k) * g_schlick(c.nl, r) * d_nl + d_nl / c.nl + d_vh / c.vh
                     - d_nh / c.nh;
-            let slope = R::of(-5.55472 * 2.0) * c.vh - R::of(6.98316);
-            (d_ln_w, x * R::of(std::f64::consts::LN_2) * slope * d_vh)
+            (d_ln_w, x * d_ln_fresnel_weight(c.vh) * d_vh)
         }
     }
 }

@@ -50,7 +50,7 @@ fn panorama(position: Vec3, height: usize) -> Panorama {
 fn charts_share_no_texel_and_keep_their_distance() {
     for (seed, rooms) in [(1, 3), (2, 4), (3, 5)] {
         let flat = small(seed, rooms);
-        let report = atlas_report(&flat.mesh, 512);
+        let report = atlas_report(&flat.mesh, [512; 2]);
         assert_eq!(report.overlapping_fraction, 0.0);
         assert_eq!(report.outside_unit_square_triangles, 0);
         assert!(report.covered_fraction > 0.5, "the atlas is mostly empty: {}", report.covered_fraction);

@@ -43,12 +43,18 @@ pub fn needed(settings: &FitSettings, [width, height]: [usize; 2], pixels: u64, 
     ByteSize(PROGRAM + (width * height) as u64 * texel + pixels * pixel + Scene::memory(mesh))
 }
 
-/// Side of the atlas of a fit that names none: [`tbl::default_side`], as far as its textures leave half of the memory
-/// to views.
-pub fn default_side(views: &[View], mesh: &Mesh, settings: &FitSettings) -> usize {
-    let side = tbl::default_side(views);
-    let textures = needed(settings, [side, side], 0, mesh).0;
-    if 2 * textures <= settings.max_memory.0 { side } else { DEFAULT_SIDE }
+/// Columns and rows of the atlas of a fit: `settings.atlas_size`, else those of the HDR texture that the capture brings
+/// (`given`), else [`tbl::default_side`], as far as its textures leave half of the memory to views.
+pub fn atlas_size(settings: &FitSettings, given: Option<[usize; 2]>, views: &[View], mesh: &Mesh) -> [usize; 2] {
+    match (settings.atlas_size, given) {
+        (0, Some(given)) => given,
+        (0, None) => {
+            let size = [tbl::default_side(views); 2];
+            let textures = needed(settings, size, 0, mesh).0;
+            if 2 * textures <= settings.max_memory.0 { size } else { [DEFAULT_SIDE; 2] }
+        }
+        (side, _) => [side; 2],
+    }
 }
 
 /// The views as the fit reads them: reduced by the least factor that leaves at most four pixels per texel in all and
@@ -169,12 +175,17 @@ mod tests {
             let view = square.views(&texture(), [8, 4]).swap_remove(0);
             vec![View { camera: Camera { width, height, ..view.camera }, ..view }; count]
         };
-        assert_eq!(default_side(&[], mesh, &settings), 1024);
-        assert_eq!(default_side(&views(1024, 512, 2), mesh, &settings), 1024, "a pixel for every texel");
-        assert_eq!(default_side(&views(1024, 512, 3), mesh, &settings), 2048);
-        assert_eq!(default_side(&views(8192, 4096, 30), mesh, &settings), 2048);
-        let little = FitSettings { max_memory: bytesize::ByteSize::mib(600), ..settings };
-        assert_eq!(default_side(&views(1024, 512, 3), mesh, &little), 1024);
+        let side = |views: &[View], settings| atlas_size(settings, None, views, mesh)[0];
+        assert_eq!(side(&[], &settings), 1024);
+        assert_eq!(side(&views(1024, 512, 2), &settings), 1024, "a pixel for every texel");
+        assert_eq!(side(&views(1024, 512, 3), &settings), 2048);
+        assert_eq!(side(&views(8192, 4096, 30), &settings), 2048);
+        let little = FitSettings { max_memory: bytesize::ByteSize::mib(600), ..settings.clone() };
+        assert_eq!(side(&views(1024, 512, 3), &little), 1024);
+        // What is asked for, or given, counts before that.
+        let of_given = |settings: &FitSettings| atlas_size(settings, Some([640, 320]), &[], mesh);
+        assert_eq!(of_given(&settings), [640, 320]);
+        assert_eq!(of_given(&FitSettings { atlas_size: 512, ..settings.clone() }), [512; 2]);
     }
 
     #[test]

@@ -113,7 +113,7 @@ pub fn fit(
 ) -> Result<FitResult> {
     settings.validate()?;
     let scene = backend.scene().clone();
-    if scene.mesh().positions != capture.mesh.positions || scene.mesh().triangles != capture.mesh.triangles {
+    if *scene.mesh() != capture.mesh {
         return Err(Error::invalid(format!(
             "{}: its mesh is not the backend's; make the backend with the scene of this capture",
             capture.root.display()
@@ -237,14 +237,12 @@ fn emission(radiance: &Rgb, emitters: &Mask) -> impl Iterator<Item = [f32; 3]> {
     radiance.data.iter().zip(&emitters.data).map(|(&l, &is_source)| if is_source { l } else { [0.0; 3] })
 }
 
-/// What light sources emit: what leaves them less the a E/π that they reflect.
+/// What light sources emit: what leaves them less what they reflect ([`outgoing::reflected`]), metals aside.
 fn emitted((radiance, emitters): (&Rgb, &Mask), materials: &Materials) -> Rgb {
-    let of_texel = |(t, outgoing): (usize, [f32; 3])| -> [f32; 3] {
-        let diffuse = 1.0 - materials.metallic.as_ref().map_or(0.0, |map| map.data[t]);
-        let (albedo, irradiance) = (&materials.albedo.data[t], &materials.irradiance.data[t]);
-        std::array::from_fn(|c| {
-            (outgoing[c] - diffuse * albedo[c] * irradiance[c] * std::f32::consts::FRAC_1_PI).max(0.0)
-        })
+    let of_texel = |(t, sent): (usize, [f32; 3])| -> [f32; 3] {
+        let dielectric = 1.0 - materials.metallic.as_ref().map_or(0.0, |map| map.data[t]);
+        let reflected = outgoing::reflected(materials, t);
+        std::array::from_fn(|c| (sent[c] - dielectric * reflected[c]).max(0.0))
     };
     Raster { data: emission(radiance, emitters).enumerate().map(of_texel).collect(), ..*radiance }
 }
@@ -266,6 +264,7 @@ impl Timings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::specular_albedo::specular_albedo;
 
     #[test]
     fn what_a_lamp_reflects_is_not_emitted() {
@@ -280,11 +279,15 @@ mod tests {
             masking: Masking::default(),
             confidence: None,
         };
-        // Half of the irradiance; nothing of a metal's; never less than nothing.
-        assert_eq!(
-            emitted((&map([2.0, 1.0, 0.1]), &emitters), &materials).data,
-            [[1.5, 0.5, 0.0], [2.0, 1.0, 0.1], [0.0; 3]]
-        );
+        // Half of the irradiance diffusely, and what the surface mirrors; nothing of a metal's; never less than nothing.
+        let mirrored = specular_albedo(materials.masking, 0.5);
+        assert!((0.02..0.06).contains(&mirrored), "{mirrored}");
+        let diffuse = 0.5 * materials.diffuse.albedo_factor(0.5);
+        let emitted = emitted((&map([2.0, 1.0, 0.1]), &emitters), &materials).data;
+        for (found, sent) in emitted[0].iter().zip([2.0, 1.0]) {
+            assert!((found - (sent - diffuse - mirrored)).abs() < 1e-6, "{emitted:?}");
+        }
+        assert_eq!((emitted[0][2], &emitted[1..]), (0.0, &[[2.0, 1.0, 0.1], [0.0; 3]][..]));
     }
 
     #[test]

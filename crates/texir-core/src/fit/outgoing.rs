@@ -29,13 +29,18 @@ pub fn radiance(atlas: &Atlas, tbl: &Tbl, materials: &Materials, emitters: &Mask
         if emitters.data[t] || is_metal || is_only_captured {
             return tbl.radiance.data[t];
         }
-        let (albedo, irradiance) = (materials.albedo.data[t], materials.irradiance.data[t]);
-        let roughness = materials.roughness.data[t];
-        let (d, s) = (materials.diffuse.albedo_factor(roughness), specular_albedo(materials.masking, roughness));
-        std::array::from_fn(|c| (d * albedo[c] + s) * irradiance[c] * FRAC_1_PI)
+        reflected(materials, t)
     };
     let sent: Vec<[f32; 3]> = (&atlas.texels, is_fitted).into_par_iter().map(sent).collect();
     atlas.padded(&sent, PADDING)
+}
+
+/// (d a + s) E/π of texel `t`: what a dielectric of its material sends of the light that reaches it.
+pub fn reflected(materials: &Materials, t: usize) -> [f32; 3] {
+    let (albedo, irradiance) = (materials.albedo.data[t], materials.irradiance.data[t]);
+    let roughness = materials.roughness.data[t];
+    let (d, s) = (materials.diffuse.albedo_factor(roughness), specular_albedo(materials.masking, roughness));
+    std::array::from_fn(|c| (d * albedo[c] + s) * irradiance[c] * FRAC_1_PI)
 }
 
 #[cfg(test)]
@@ -110,7 +115,7 @@ mod tests {
         let bounces = Bounces {
             quality: Quality { gather, error: None, denoise: Some(Denoiser::Regression) },
             tolerance: 1e-3,
-            most: 30,
+            max_bounces: 30,
         };
         let none = Checkpoints::none();
         let texels = Texels::of(&atlas);

@@ -35,14 +35,8 @@ pub(super) fn prepare(
     progress: &dyn Progress,
 ) -> Result<Prepared> {
     let given = given.map(|path| Tbl::read(path, progress)).transpose()?;
-    let size = match (settings.atlas_size, &given) {
-        (0, Some(tbl)) => tbl.radiance.size(),
-        (0, None) => {
-            let side = memory::default_side(&training, backend.scene().mesh(), settings);
-            [side, side]
-        }
-        (size, _) => [size, size],
-    };
+    let size_given = given.as_ref().map(|tbl| tbl.radiance.size());
+    let size = memory::atlas_size(settings, size_given, &training, backend.scene().mesh());
     if let Some(tbl) = given.as_ref().filter(|tbl| tbl.radiance.size() != size) {
         progress.warn(&format!(
             "the HDR texture has {} texels, and fit.atlas_size asks for {}: it is ignored, and a new one is built from the views",
@@ -52,7 +46,7 @@ pub(super) fn prepare(
     }
     let given = given.filter(|tbl| tbl.radiance.size() == size);
     let is_given = given.is_some();
-    let atlas = Atlas::new(backend, [size[0], size[1]])?;
+    let atlas = Atlas::new(backend, size)?;
     crowded(backend, size)?.iter().for_each(|what| progress.warn(what));
     // Before the first long step: what does not fit in memory is refused.
     let mut views = memory::affordable(&training, (backend.scene().mesh(), &atlas), settings, progress)?;

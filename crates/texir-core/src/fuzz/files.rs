@@ -49,7 +49,7 @@ fn use_mesh(path: &Path) {
     let Ok(file) = read_mesh(path) else { return };
     let (low, high) = file.mesh.bounds();
     assert!(low.is_finite() && high.is_finite());
-    atlas_report(&file.mesh, 32);
+    atlas_report(&file.mesh, [32; 2]);
     drop(Scene::new(file.mesh));
 }
 

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use image::{ColorType, DynamicImage, ImageDecoder};
 
-use super::{Format, format_of, read_size, reader};
+use super::{Format, decode, format_of, read_size, reader};
 use crate::error::{Error, Result};
 use crate::raster::{Mask, Raster, Rgb};
 
@@ -92,7 +92,7 @@ pub fn read_encoded(path: impl AsRef<Path>) -> Result<Encoded> {
     if !is_encoded(path)? {
         return Err(Error::file(path, "holds linear floats; expected PNG, JPEG or TIFF of 8 or 16 bits per channel"));
     }
-    let decoded = reader(path, format_of(path)?)?.decode().map_err(|e| Error::cannot_read(path, e))?;
+    let decoded = decode(path, format_of(path)?).map_err(|what| Error::cannot_read(path, what))?;
     let bits = match decoded {
         DynamicImage::ImageLuma8(_) | DynamicImage::ImageLumaA8(_) => 8,
         DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) => 8,

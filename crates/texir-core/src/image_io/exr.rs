@@ -13,7 +13,7 @@ use exr::prelude::{Encoding, FlatImage, FlatSamples, LayerAttributes, MetaData, 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{ImageRows, bytes_of, check_size, most_memory, primaries};
+use super::{ImageRows, bytes_of, check_size, most_memory, one_channel, primaries};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
 use crate::raster::{Gray, Raster, Rgb};
@@ -97,12 +97,16 @@ pub(super) fn read_rgb(path: &Path, unknown: f32) -> Result<Rgb> {
 
 pub(super) fn read_gray(path: &Path) -> Result<Gray> {
     size(path)?;
-    let gray = read_channels(path, "one channel, or one named Y or R", 0.0, |names| {
+    let picked = read_channels(path, "one channel, or one named Y or R", 0.0, |names| {
         let find = |name: &str| names.iter().position(|n| n == name);
         let only = (names.len() == 1).then_some(0);
-        only.or_else(|| find("Y")).or_else(|| find("R")).map(|i| [i])
+        if let Some(one) = only.or_else(|| find("Y")) {
+            return Some([one; 3]);
+        }
+        let r = find("R")?;
+        Some([r, find("G").unwrap_or(r), find("B").unwrap_or(r)])
     })?;
-    Ok(gray.raster.map(|[v]| *v))
+    one_channel(path, &picked.raster)
 }
 
 /// What [`read_channels`] found.

@@ -112,6 +112,33 @@ fn reader(path: &Path, format: Format) -> Result<ImageReader<BufReader<File>>> {
     Ok(reader)
 }
 
+/// Decodes with the general decoder, or says what is wrong: with a JPEG that ends early as well, whose rest the decoder
+/// would make up.
+fn decode(path: &Path, format: Format) -> std::result::Result<DynamicImage, String> {
+    if format == Format::Jpeg && !jpeg_has_end(&std::fs::read(path).map_err(|e| e.to_string())?) {
+        return Err("it ends before its image does".to_owned());
+    }
+    reader(path, format).map_err(|e| e.to_string())?.decode().map_err(|e| e.to_string())
+}
+
+/// Whether the segments of a JPEG and the data between them go on to its EOI marker (ITU-T T.81, annex B); what follows
+/// is not looked at.
+fn jpeg_has_end(bytes: &[u8]) -> bool {
+    const EOI: u8 = 0xd9;
+    // Behind SOI.
+    let mut at = 2;
+    loop {
+        let marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0x01 | 0xd0..=0xd7 | 0xff);
+        let rest = bytes.get(at..).unwrap_or_default();
+        let Some(found) = rest.windows(2).position(marker) else { return false };
+        match rest[found + 1..] {
+            [EOI, ..] => return true,
+            [_, high, low, ..] => at += found + 2 + usize::from(u16::from_be_bytes([high, low])),
+            _ => return false,
+        }
+    }
+}
+
 /// `(width, height)` from the file's header alone. For OpenEXR the display window counts.
 pub fn read_size(path: impl AsRef<Path>) -> Result<[usize; 2]> {
     let path = path.as_ref();
@@ -133,7 +160,7 @@ pub fn check_whole(path: impl AsRef<Path>) -> Result<()> {
     read_size(path)?;
     let whole = match format_of(path)? {
         Format::OpenExr => exr::check_whole(path),
-        format => reader(path, format)?.decode().map(drop).map_err(|e| e.to_string()),
+        format => decode(path, format).map(drop),
     };
     whole.map_err(|e| Error::file(path, format!(
                 "cannot be read to its end ({e}): is it damaged, cut short, or of a kind that is not read? copy or export it \
@@ -170,13 +197,28 @@ fn read_rgb_with(path: &Path, unknown: f32) -> Result<Rgb> {
     }
 }
 
-/// One linear channel: the only one, Y, or R of an OpenEXR; R of a Radiance HDR or float TIFF.
+/// One linear channel: the only one, Y, or R of an OpenEXR; the same as any of R, G and B where a file has these.
 pub fn read_gray(path: impl AsRef<Path>) -> Result<Gray> {
     let path = path.as_ref();
     match format_of(path)? {
         Format::OpenExr => exr::read_gray(path),
-        _ => Ok(read_rgb(path)?.map(|rgb| rgb[0])),
+        _ => one_channel(path, &read_rgb(path)?),
     }
+}
+
+/// The one value of every pixel. Errors where channels differ: which of them is meant is not known.
+fn one_channel(path: &Path, image: &Rgb) -> Result<Gray> {
+    let bits = |pixel: &[f32; 3]| pixel.map(f32::to_bits);
+    if let Some(i) = image.data.iter().position(|pixel| bits(pixel) != [pixel[0].to_bits(); 3]) {
+        let (x, y, pixel) = (i % image.width, i / image.width, image.data[i]);
+        return Err(Error::file(
+            path,
+            format!(
+                "pixel ({x}, {y}) is {pixel:?}; expected one channel, or the same value in all three: save it as grey"
+            ),
+        ));
+    }
+    Ok(image.map(|pixel| pixel[0]))
 }
 
 /// Ids: PNG in grey or palette (the palette's index is the id), up to 16 bits; or the one channel of an OpenEXR.

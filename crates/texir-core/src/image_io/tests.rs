@@ -42,7 +42,6 @@ fn rgb_and_gray_survive_a_round_trip_exactly() {
     write_rgb(&path, &rgb).unwrap();
     assert_eq!(read_rgb(&path).unwrap(), rgb);
     assert_eq!(read_size(&path).unwrap(), [7, 5]);
-    assert_eq!(read_gray(&path).unwrap(), rgb.map(|p| p[0]), "R of an RGB file");
     let gray = rgb.map(|p| p[1]);
     write_gray(&path, &gray).unwrap();
     assert_eq!(read_gray(&path).unwrap(), gray);
@@ -100,6 +99,7 @@ fn colours_of_other_primaries_become_those_of_rec_709() {
     for (read, expected) in read.iter().flatten().zip(expected.iter().flatten()) {
         assert!((read - expected).abs() < 2e-5, "{read} {expected}");
     }
+    write_with_primaries(&path, [[0.3; 3], [2.0; 3]], Some(aces));
     assert_eq!(read_gray(&path).unwrap().data, [0.3, 2.0], "a channel on its own is data, no colour");
     for same in [None, Some(rec_709)] {
         write_with_primaries(&path, pixels, same);
@@ -268,6 +268,41 @@ fn missing_truncated_and_foreign_files_are_errors_that_name_the_file() {
     std::fs::write(&path, b"a letter to the editor").unwrap();
     let error = message(read_rgb(&path));
     assert!(error.contains("view.exr") && error.contains("expected OpenEXR"), "{error}");
+}
+
+#[test]
+fn a_jpeg_that_ends_early_is_refused() {
+    let folder = folder();
+    let path = folder.path().join("photo.jpg");
+    let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * y) as u8, (x * 4) as u8, (y * 5) as u8]));
+    picture.save(&path).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    // A preview of its own in front, and what phones append: neither is the image's end.
+    let preview = [&[0xff, 0xe1, 0x00, 0x06, 0xff, 0xd8, 0xff, 0xd9][..], &bytes[2..]].concat();
+    let appended = [&bytes[..], b"more \xff\xda of it"].concat();
+    for whole in [&bytes, &[&bytes[..2], &preview[..]].concat(), &appended] {
+        std::fs::write(&path, whole).unwrap();
+        assert_eq!(read_encoded(&path).unwrap().values.size(), [64, 48]);
+        check_whole(&path).unwrap();
+    }
+    for cut in [bytes.len() - 2, bytes.len() * 6 / 10, bytes.len() / 2] {
+        std::fs::write(&path, [&bytes[..2], &preview[..cut]].concat()).unwrap();
+        assert!(message(read_encoded(&path)).contains("it ends before its image does"), "{cut} bytes");
+        assert!(message(check_whole(&path)).contains("it ends before its image does"), "{cut} bytes");
+    }
+}
+
+#[test]
+fn three_channels_are_one_where_they_are_the_same() {
+    let folder = folder();
+    let path = folder.path().join("roughness.exr");
+    let mut image = Rgb::filled(3, 2, [0.25; 3]);
+    write_rgb(&path, &image).unwrap();
+    assert_eq!(read_gray(&path).unwrap(), Gray::filled(3, 2, 0.25));
+    image.data[4] = [0.25, 0.5, 0.25];
+    write_rgb(&path, &image).unwrap();
+    let error = message(read_gray(&path));
+    assert!(error.contains("roughness.exr: pixel (1, 1) is [0.25, 0.5, 0.25]; expected one channel"), "{error}");
 }
 
 #[test]

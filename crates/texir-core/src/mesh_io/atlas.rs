@@ -45,9 +45,9 @@ impl AtlasReport {
     }
 }
 
-/// Rasterises the atlas at `size`² texels. Surfaces of which all have the same texels many times over, as those of a
+/// Rasterises the atlas at `[width, height]` texels. Surfaces of which all have the same texels many times over, as those of a
 /// tiled texture, are not gone through to the last.
-pub fn atlas_report(mesh: &Mesh, size: usize) -> AtlasReport {
+pub fn atlas_report(mesh: &Mesh, size: [usize; 2]) -> AtlasReport {
     const COVERED: u8 = 1;
     const OWNED: u8 = 2;
     const SHARED: u8 = 4;
@@ -55,7 +55,7 @@ pub fn atlas_report(mesh: &Mesh, size: usize) -> AtlasReport {
     let allowed = -UNIT_SQUARE_SLACK..=1.0 + UNIT_SQUARE_SLACK;
     let leaves = |uvs: &[Vec2; 3]| uvs.iter().any(|uv| !(allowed.contains(&uv.x) && allowed.contains(&uv.y)));
     let outside_unit_square_triangles = corners.clone().filter(leaves).count();
-    let mut texels = vec![0_u8; size * size];
+    let mut texels = vec![0_u8; size[0] * size[1]];
     let mut visits = 0;
     for uvs in corners {
         for_texel_centres(uvs, size, |texel, interior| {
@@ -66,21 +66,21 @@ pub fn atlas_report(mesh: &Mesh, size: usize) -> AtlasReport {
                 *state |= if *state & OWNED != 0 { SHARED } else { OWNED };
             }
         });
-        if visits > ENOUGH * size * size {
+        if visits > ENOUGH * texels.len() {
             break;
         }
     }
     let count = |flag: u8| texels.iter().filter(|t| **t & flag != 0).count() as f64;
     AtlasReport {
-        covered_fraction: count(COVERED) / (size * size).max(1) as f64,
+        covered_fraction: count(COVERED) / texels.len().max(1) as f64,
         overlapping_fraction: count(SHARED) / count(COVERED).max(1.0),
         outside_unit_square_triangles,
     }
 }
 
 /// Calls `visit(texel, strictly inside)` for every texel whose centre lies in the closed triangle.
-fn for_texel_centres(uvs: [Vec2; 3], size: usize, mut visit: impl FnMut(usize, bool)) {
-    let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * size as f64);
+fn for_texel_centres(uvs: [Vec2; 3], [width, height]: [usize; 2], mut visit: impl FnMut(usize, bool)) {
+    let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * DVec2::new(width as f64, height as f64));
     let area = (b - a).perp_dot(c - a);
     if area == 0.0 || !area.is_finite() {
         return;
@@ -89,8 +89,8 @@ fn for_texel_centres(uvs: [Vec2; 3], size: usize, mut visit: impl FnMut(usize, b
     let (low, high) = (a.min(b).min(c), a.max(b).max(c));
     // The texels whose centre, at +½, lies in [low, high]; a float cast saturates.
     let first = |low: f64| (low - 0.5).ceil().max(0.0) as usize;
-    let end = |high: f64| ((high - 0.5).floor() + 1.0).clamp(0.0, size as f64) as usize;
-    for y in first(low.y)..end(high.y) {
+    let end = |high: f64, most: usize| ((high - 0.5).floor() + 1.0).clamp(0.0, most as f64) as usize;
+    for y in first(low.y)..end(high.y, height) {
         let (mut left, mut right) = (low.x, high.x);
         // Where the row enters and leaves the triangle, with a texel to spare for rounding; by a level edge, at ±∞.
         for (from, to) in edges {
@@ -102,11 +102,11 @@ fn for_texel_centres(uvs: [Vec2; 3], size: usize, mut visit: impl FnMut(usize, b
                 right = right.min(x + 1.0);
             }
         }
-        for x in first(left)..end(right) {
+        for x in first(left)..end(right, width) {
             let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
             let sides = edges.map(|(from, to)| (to - from).perp_dot(p - from) / area);
             if sides.iter().all(|e| *e >= 0.0) {
-                visit(y * size + x, sides.iter().all(|e| *e > 1e-9));
+                visit(y * width + x, sides.iter().all(|e| *e > 1e-9));
             }
         }
     }

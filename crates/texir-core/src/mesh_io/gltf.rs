@@ -185,9 +185,9 @@ pub(crate) fn for_each_node(
     stack.reverse();
     while let Some((node, world_from_parent)) = stack.pop() {
         if std::mem::replace(&mut visited[node.index()], true) {
-            return Err(Error::file(path, format!("node {} is reached twice; expected a tree", node.index())));
+            return Err(Error::file(path, format!("{} is reached twice; expected a tree", label(&node))));
         }
-        let world_from_node = world_from_parent * parent_from_node(path, node.index(), node.transform())?;
+        let world_from_node = world_from_parent * parent_from_node(path, &node)?;
         visit(&node, world_from_node)?;
         let children: Vec<_> = node.children().map(|c| (c, world_from_node)).collect();
         stack.extend(children.into_iter().rev());
@@ -195,10 +195,16 @@ pub(crate) fn for_each_node(
     Ok(())
 }
 
+/// A node as users are told of it: by its index, and its name if it has one.
+pub(crate) fn label(node: &gltf::Node) -> String {
+    let index = node.index();
+    node.name().map_or_else(|| format!("node {index}"), |name| format!("node {index} ({name:?})"))
+}
+
 /// The transform of a node. A rotation of another length than 1 would skew what it turns; it is taken for the unit one
 /// that it is along.
-fn parent_from_node(path: &Path, node: usize, transform: Transform) -> Result<Mat4> {
-    match transform {
+fn parent_from_node(path: &Path, node: &gltf::Node) -> Result<Mat4> {
+    match node.transform() {
         Transform::Matrix { matrix } => Ok(Mat4::from_cols_array_2d(&matrix)),
         Transform::Decomposed { translation, rotation, scale } => {
             let length = Quat::from_array(rotation).length();
@@ -206,7 +212,7 @@ fn parent_from_node(path: &Path, node: usize, transform: Transform) -> Result<Ma
             if !turn.is_finite() {
                 return Err(Error::file(
                     path,
-                    format!("rotation of node {node} is {rotation:?}; expected a quaternion of length 1"),
+                    format!("rotation of {} is {rotation:?}; expected a quaternion of length 1", label(node)),
                 ));
             }
             Ok(Mat4::from_scale_rotation_translation(scale.into(), turn, translation.into()))
@@ -227,7 +233,7 @@ pub(super) fn read(path: &Path) -> Result<RawMesh> {
     raw.warnings.extend(ignored(path, &document, &PLACING));
     for_each_node(path, &document, |node, world_from_node| {
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
-            let place = format!("primitive {} of node {}", primitive.index(), node.index());
+            let place = format!("primitive {} of {}", primitive.index(), label(node));
             let Some(surface) = surface(path, &place, &primitive, &buffers, world_from_node)? else {
                 raw.warnings.push(no_surface(path, &place, &primitive));
                 continue;

@@ -487,7 +487,7 @@ fn unusable_numbers_and_indices_are_errors_with_their_place() {
 #[test]
 fn atlas_report_measures_cover_overlap_and_overhang() {
     let mesh = square();
-    let report = atlas_report(&mesh, 64);
+    let report = atlas_report(&mesh, [64; 2]);
     assert_eq!(
         report,
         AtlasReport { covered_fraction: 0.25, overlapping_fraction: 0.0, outside_unit_square_triangles: 0 }
@@ -499,12 +499,12 @@ fn atlas_report_measures_cover_overlap_and_overhang() {
     overlapping.normals.extend([Vec3::Z; 3]);
     overlapping.uvs.extend([mesh.uvs[0], mesh.uvs[2], (mesh.uvs[0] + mesh.uvs[3]) / 2.0]);
     overlapping.triangles.push([4, 5, 6]);
-    let report = atlas_report(&overlapping, 256);
+    let report = atlas_report(&overlapping, [256; 2]);
     assert!((report.overlapping_fraction - 0.25).abs() < 0.01, "{report:?}");
 
     let mut shifted = mesh;
     shifted.uvs[3].y -= 0.1;
-    assert_eq!(atlas_report(&shifted, 64).outside_unit_square_triangles, 1);
+    assert_eq!(atlas_report(&shifted, [64; 2]).outside_unit_square_triangles, 1);
 }
 
 #[test]
@@ -522,7 +522,7 @@ fn surfaces_that_share_the_atlas_many_times_over_are_told_at_once() {
     mesh.normals.push(Vec3::Z);
     mesh.uvs.push(Vec2::new(2.0, 0.5));
     mesh.triangles.push([1, 4, 2]);
-    let report = atlas_report(&mesh, 1024);
+    let report = atlas_report(&mesh, [1024; 2]);
     assert_eq!((report.covered_fraction, report.outside_unit_square_triangles), (1.0, 1));
     assert!(report.overlapping_fraction > 0.99, "{report:?}");
 }

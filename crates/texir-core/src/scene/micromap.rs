@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::rng::{hash2, to_unit};
 
 /// Columns and rows of parts whose dither is one.
-const BLOCK: u32 = 4;
+pub const DITHER_BLOCK: u32 = 4;
 
 /// What rays meet of a triangle.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -162,12 +162,12 @@ pub(super) fn corners(side: u32, (column, row, turned): Part) -> [[f32; 2]; 3] {
 
 /// How much of a part must be covered for it to be there, in [0, 1).
 ///
-/// The sequence is shifted in every block of [`BLOCK`]² columns and rows anew: samples that lie in a grid of their own,
+/// The sequence is shifted in every block of [`DITHER_BLOCK`]² columns and rows anew: samples that lie in a grid of their own,
 /// as those of a lightmap do, must not keep step with it.
 fn threshold((column, row, turned): Part, seed: u32) -> f32 {
     // 1/ρ and 1/ρ² of the plastic number ρ, in fractions of 2³².
     let sequence = column.wrapping_mul(3_242_174_889).wrapping_add(row.wrapping_mul(2_447_445_414));
-    let shift = hash2(hash2(column / BLOCK, row / BLOCK), seed);
+    let shift = hash2(hash2(column / DITHER_BLOCK, row / DITHER_BLOCK), seed);
     to_unit(sequence.wrapping_add(shift).wrapping_add(u32::from(turned) << 31))
 }
 

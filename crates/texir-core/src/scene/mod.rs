@@ -10,7 +10,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 pub use hierarchy::MAX_LEVELS;
-pub use micromap::{Micromap, TriangleOpacity};
+pub use micromap::{DITHER_BLOCK, Micromap, TriangleOpacity};
 use obvhs::cwbvh::CwBvh;
 use obvhs::triangle::Triangle;
 

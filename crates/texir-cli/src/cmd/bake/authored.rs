@@ -114,7 +114,8 @@ pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Fai
     let mut backend = device::open(scene, session)?;
     let (texels, surfaces) =
         prepare(backend.as_mut(), &model, environment, workspace, (bake, session)).inspect_err(|_| bake.clean_up())?;
-    let bounces = Bounces { quality: bake.quality(session), tolerance, most: options.bounces.unwrap_or(BOUNCES) };
+    let bounces =
+        Bounces { quality: bake.quality(session), tolerance, max_bounces: options.bounces.unwrap_or(BOUNCES) };
     let identity = surfaces.identity(backend.as_ref(), &bounces.quality);
     let checkpoints = Checkpoints::open(&bake.partial(), &identity, session.console)?;
     let light = Light { texels, surfaces, bounces };

@@ -70,8 +70,8 @@ pub struct MeshFindings {
 
 #[derive(Serialize)]
 pub struct AtlasFindings {
-    /// Side, texels.
-    pub size: usize,
+    /// Columns and rows.
+    pub size: [usize; 2],
     pub covered_fraction: f64,
     pub overlapping_fraction: f64,
     pub outside_triangles: usize,
@@ -171,14 +171,10 @@ impl Findings {
         let mesh = &capture.mesh;
         let tbl = capture.tbl.as_ref().map(|path| Tbl::read(path, session.console)).transpose()?;
         let training: Vec<View> = capture.views(Split::Train).cloned().collect();
-        let size = match (settings.atlas_size, tbl) {
-            (0, Some(tbl)) => tbl.radiance.width,
-            (0, None) => memory::default_side(&training, mesh, settings),
-            (size, _) => size,
-        };
+        let size = memory::atlas_size(settings, tbl.map(|tbl| tbl.radiance.size()), &training, mesh);
         let area = area(mesh);
         let report = atlas_report(mesh, size);
-        let covered_texels = report.covered_fraction * (size * size) as f64;
+        let covered_texels = report.covered_fraction * (size[0] * size[1]) as f64;
         let atlas = AtlasFindings {
             size,
             covered_fraction: report.covered_fraction,
@@ -219,7 +215,7 @@ impl Findings {
             let survey = Survey::new(&mut backend, &training, session.console);
             let survey = or_told(survey, &mut findings.warnings)?;
             findings.warnings.extend(survey.iter().flat_map(Survey::warnings));
-            findings.warnings.extend(atlas::crowded(&mut backend, [size; 2])?);
+            findings.warnings.extend(atlas::crowded(&mut backend, size)?);
         }
         let cameras: Vec<Vec3> = capture.views.iter().map(|view| view.camera.position()).collect();
         findings.warnings.extend(rooms::detect(mesh, &cameras, &RoomOptions::default()).err().map(|e| e.to_string()));
@@ -327,7 +323,7 @@ fn classes(views: &[View], unreadable: &mut Vec<String>) -> Vec<ClassFindings> {
 }
 
 fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) -> Estimate {
-    let texels = (atlas.size * atlas.size) as u64;
+    let texels = (atlas.size[0] * atlas.size[1]) as u64;
     let training = || capture.views(Split::Train).map(|v| &v.camera);
     let pixels: u64 = training().map(|c| c.pixels() as u64).sum();
     let fit_rays = match settings.mode {
@@ -338,7 +334,7 @@ fn estimate(capture: &Capture, settings: &FitSettings, atlas: &AtlasFindings) ->
         }
         Mode::Full => training().map(|camera| settings.full.rays(camera)).sum(),
     };
-    let needed = memory::needed(settings, [atlas.size, atlas.size], pixels, &capture.mesh);
+    let needed = memory::needed(settings, atlas.size, pixels, &capture.mesh);
     // All bakes but the last have a quarter of the points.
     let bakes = 1.0 + 0.25 * (settings.bakes() - 1) as f64;
     let rays = f64::from(settings.irradiance_rays(1.0 / atlas.texels_per_metre as f32));

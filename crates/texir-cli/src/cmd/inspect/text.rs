@@ -20,11 +20,11 @@ pub fn text(findings: &Findings, rows: usize) -> String {
     line("mesh", format!("{}, {} triangles, {} vertices", mesh.file, mesh.triangles, mesh.vertices));
     let [x, y, z] = mesh.extent;
     line("extent", format!("{x:.2} × {y:.2} × {z:.2} m (z is up), {:.1} m² of surface", mesh.area));
+    let [width, height] = atlas.size;
     line(
         "atlas",
         format!(
-            "{0} × {0}, {1:.1} % covered, {2:.2} % of that overlapping, {3} triangles outside, {4:.0} texels per metre",
-            atlas.size,
+            "{width} × {height}, {:.1} % covered, {:.2} % of that overlapping, {} triangles outside, {:.0} texels per metre",
             100.0 * atlas.covered_fraction,
             100.0 * atlas.overlapping_fraction,
             atlas.outside_triangles,

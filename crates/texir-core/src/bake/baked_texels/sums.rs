@@ -103,9 +103,9 @@ impl BakedTexels {
     }
 
     /// Some rows of the map of light that surfaces can send on: [`Buried::Fill`](crate::bake::Buried::Fill) for texels
-    /// that are inside other geometry, which `first` tells.
-    pub(crate) fn filled_rows(&self, texels: &Texels<'_>, first: &Self, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
-        texels.rows(&self.irradiance, Some(&first.outside), rows, PADDING)
+    /// that are inside other geometry by what `total` found.
+    pub(crate) fn filled_rows(&self, texels: &Texels<'_>, total: &Self, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
+        texels.rows(&self.irradiance, Some(&total.outside), rows, PADDING)
     }
 }
 

@@ -16,7 +16,7 @@ pub(super) fn lacking(import: &Import, unplaced: usize, options: &ImportOptions)
     if unplaced > 0 {
         return Some(format!("{unplaced} of its triangles have no texture coordinates"));
     }
-    let problems = atlas_report(&import.mesh, DEFAULT_SIDE).problems();
+    let problems = atlas_report(&import.mesh, [DEFAULT_SIDE; 2]).problems();
     (import.textures.is_empty() && !problems.is_empty()).then(|| problems.join(", and "))
 }
 

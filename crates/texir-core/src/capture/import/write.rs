@@ -144,6 +144,10 @@ struct Job<'a> {
 impl Job<'_> {
     fn convert(&self, shot: &Shot) -> Result<Converted> {
         let view = &shot.view;
+        if !view.image.exists() {
+            let what = "does not exist, but is an image that the cameras' file names: bring it, or leave it out there";
+            return Err(Error::file(&view.image, what));
+        }
         let size = read_size(&view.image)?;
         let expected = [view.camera.width, view.camera.height];
         if size != expected {
@@ -157,7 +161,11 @@ impl Job<'_> {
         let lens = match shot.distortion {
             None => None,
             Some(distortion) => Some(Undistortion::new(&view.camera, distortion).ok_or_else(|| {
-                let what = format!("cannot be undistorted with {}: no pixel is left", distortion.describe());
+                let of_others = view.camera.centre_outside().map_or(String::new(), |[cx, cy]| {
+                    let size = times(size);
+                    format!(" (cx, cy: the principal point ({cx}, {cy}) lies outside of {size} pixels: is it that of larger images?)")
+                });
+                let what = format!("cannot be undistorted with {}: no pixel is left{of_others}", distortion.describe());
                 Error::file(&view.image, what)
             })?),
         };

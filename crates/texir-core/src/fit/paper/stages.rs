@@ -78,7 +78,7 @@ pub struct Optimisation<'a> {
     pub progress: &'a dyn Progress,
     /// Receives one entry per epoch.
     pub log: &'a mut dyn FnMut(&EpochLog),
-    /// When the fit began.
+    /// When the stages began.
     pub started: std::time::Instant,
     /// Epochs that were done before.
     pub checkpoints: &'a Checkpoints,

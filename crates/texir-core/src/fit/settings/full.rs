@@ -363,6 +363,12 @@ impl FullSettings {
         TableSampling { lobe, cosine, light, masking, seed: hash2(seed, view) }
     }
 
+    /// Tables that light samples are weighed into, each from samples of its own: of a dielectric, and where metals are
+    /// sought, of a white one.
+    pub fn tables(&self) -> u64 {
+        1 + u64::from(self.metallic.enabled)
+    }
+
     pub(super) fn checks(&self) -> Vec<Check> {
         let (a, r, p) = (&self.albedo, &self.roughness, &self.palette);
         let mut checks = vec![

@@ -42,7 +42,7 @@ pub struct FitSettings {
     /// How materials are found.
     pub mode: Mode,
     /// Side of the square atlas that is fitted, texels; 0 takes the HDR texture's size, or without one what suits the
-    /// views ([`crate::fit::memory::default_side`]).
+    /// views ([`crate::fit::memory::atlas_size`]).
     pub atlas_size: usize,
     /// Rays per texel of the irradiance bake, half of them to the light sources; 0 lets them follow the texels' area,
     /// see [`FitSettings::irradiance_rays`].

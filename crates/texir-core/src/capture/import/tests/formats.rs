@@ -631,7 +631,7 @@ fn unwrapped(folder: &TempDir, options: &ImportOptions) -> (String, Vec<String>)
     let read = super::super::read(folder.path(), options, &Silent).unwrap();
     let corners = |mesh: &Mesh| (0..mesh.triangles.len() as u32).map(|t| mesh.corners(t)).collect::<Vec<_>>();
     assert_eq!(corners(&read.mesh), corners(&mesh()));
-    (read.assumed.join("\n"), crate::mesh_io::atlas_report(&read.mesh, 1024).problems())
+    (read.assumed.join("\n"), crate::mesh_io::atlas_report(&read.mesh, [1024; 2]).problems())
 }
 
 #[test]
@@ -694,7 +694,7 @@ fn dense_meshes_are_reduced_and_unwrapped() {
     let (read, warnings) = decimated(300).unwrap();
     assert!((299..=300).contains(&read.mesh.triangles.len()) && warnings.is_empty(), "{warnings:?}");
     assert_says(&read.assumed.join("\n"), &["new atlas", "reduced from 800 to", "mm"]);
-    assert!(crate::mesh_io::atlas_report(&read.mesh, 1024).problems().is_empty());
+    assert!(crate::mesh_io::atlas_report(&read.mesh, [1024; 2]).problems().is_empty());
     assert!((0..read.mesh.triangles.len() as u32).all(|t| read.mesh.face_normal(t).z > 0.9));
 
     let (read, warnings) = decimated(12).unwrap();

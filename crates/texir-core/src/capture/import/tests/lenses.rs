@@ -193,14 +193,19 @@ fn importing_a_distorted_capture_leaves_pinholes_that_load() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let view = View::new("v".to_owned(), camera(), Split::Train, root.join("v.exr"));
+    let fisheye = [0.03, -0.01, 0.002, -0.0005];
+    // instant-ngp names no model.
     for (model, k, lens) in
-        [("OPENCV", [-0.28, 0.07, 0.0, 0.0], 0), ("OPENCV_FISHEYE", [0.03, -0.01, 0.002, -0.0005], 3)]
+        [("OPENCV", [-0.28, 0.07, 0.0, 0.0], 0), ("OPENCV_FISHEYE", fisheye, 3), ("is_fisheye", fisheye, 3)]
     {
         crate::capture::nerfstudio::write_transforms(root.join("transforms.json"), std::slice::from_ref(&view))
             .unwrap();
         let text = std::fs::read_to_string(root.join("transforms.json")).unwrap();
         let mut document: serde_json::Value = serde_json::from_str(&text).unwrap();
-        document["camera_model"] = model.into();
+        match model {
+            "is_fisheye" => (document["is_fisheye"], document["camera_model"]) = (true.into(), Default::default()),
+            _ => document["camera_model"] = model.into(),
+        }
         for (name, k) in ["k1", "k2", "k3", "k4"].into_iter().zip(k) {
             document[name] = k.into();
         }

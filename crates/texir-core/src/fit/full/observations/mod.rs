@@ -141,9 +141,8 @@ pub struct Observer<'a> {
 impl Observer<'_> {
     /// Observes the views. The backend holds the full TBL and its lights.
     pub fn observe(&self, backend: &mut dyn Backend, views: &[View], progress: &dyn Progress) -> Result<Observations> {
-        let tables = 1 + u64::from(self.settings.metallic.enabled);
         let rays: u64 = views.iter().map(|v| v.camera.pixels() as u64).sum::<u64>()
-            * tables
+            * self.settings.tables()
             * u64::from(self.settings.sampling(self.seed, 0).rays());
         let task = Task::start(progress, "light samples", rays, "rays");
         let index = TexelIndex::new(self.atlas);

@@ -106,7 +106,7 @@ impl FullSettings {
     pub fn rays(&self, camera: &Camera) -> u64 {
         let of_round = |round: Self| {
             let blocks = round.squares(camera).count();
-            blocks as u64 * u64::from(round.sampling(0, 0).rays())
+            blocks as u64 * round.tables() * u64::from(round.sampling(0, 0).rays())
         };
         self.rounds().into_iter().map(of_round).sum()
     }
@@ -153,6 +153,15 @@ pub(super) mod tests {
         assert!((0..256).all(|row| (narrow.across[row] == 1) == (sin(row) > 0.25)));
         // Negative control: a photo's are of as many pixels everywhere.
         assert!(of_photo(8, 2).across.iter().all(|across| *across == 2) && of_photo(8, 2).count() == 16);
+    }
+
+    #[test]
+    fn light_samples_for_metals_are_counted() {
+        let mut settings = FullSettings::default();
+        let panorama = camera(Projection::Equirectangular, [64, 32]);
+        let rays = settings.rays(&panorama);
+        settings.metallic.enabled = true;
+        assert_eq!((rays > 0, settings.rays(&panorama)), (true, 2 * rays));
     }
 
     #[test]
