@@ -77,13 +77,12 @@ impl CorrectionArgs {
             let blur = self.blur(measured, session);
             training.iter_mut().for_each(|view| view.blur = blur);
         }
-        if moved > 0 || training.iter().any(|view| view.scale != [1.0; 3] || view.blur > 0.0) {
-            if let Some(texture) = capture.tbl.take() {
-                session.console.warn(&format!(
-                    "{}: not used, as it shows the views before they were corrected; a new HDR texture is built from them",
-                    texture.display()
-                ));
-            }
+        let is_changed = moved > 0 || training.iter().any(|view| view.scale != [1.0; 3] || view.blur > 0.0);
+        if let Some(texture) = capture.tbl.take_if(|_| is_changed) {
+            session.console.warn(&format!(
+                "{}: not used, as it shows the views before they were corrected; a new HDR texture is built from them",
+                texture.display()
+            ));
         }
         Ok(Some(Corrections::of(capture)))
     }
