@@ -63,9 +63,10 @@ fn contribution(hit: Intersection, direction: vec3f, cosine: f32, table: u32) ->
     let normal = primitive_normal(primitive);
     let towards = dot(normal, direction);
     let back = towards > 0.0;
-    let per_solid_angle = light_pdf(table, primitive, hit.t, towards / length(normal));
+    let source = light_at(hit);
+    let per_solid_angle = light_pdf(table, source, hit.t, towards / length(normal));
     let density = f32(params.cosine_samples) * cosine * INV_PI + f32(params.light_samples) * per_solid_angle;
-    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && is_black_behind(primitive));
+    let light = select(radiance_at(hit) * (cosine / density), vec3f(0.0), back && is_black_behind(source));
     let beyond = environment_contribution(environment_towards(direction), cosine);
     return select(vec4f(light, select(0.0, 1.0, back)), vec4f(beyond, 0.0), hit.primitive == MISS);
 }

@@ -137,7 +137,7 @@ fn trace_sample(point: ShadePoint, ray: SampleRay, present: bool) -> Sample {
     let density = f32(params.lobe_samples) * lobes * c.nh / (4.0 * c.vh)
         + f32(params.cosine_samples) * c.nl * INV_PI
         + f32(params.light_samples)
-            * light_pdf(light_table(point.position, point.normal), primitive, hit.t, dot(normalize(primitive_normal(primitive)), ray.direction));
+            * light_pdf(light_table(point.position, point.normal), light_at(hit), hit.t, dot(normalize(primitive_normal(primitive)), ray.direction));
     let x = fresnel_weight(c.vh);
     let light = radiance_at(hit) * ((params.f0 * (1.0 - x) + x) * c.nl / density);
     let counts = hit.primitive != MISS && (ray.triangle == MISS || ray.triangle == mesh_triangle(hit.primitive));

@@ -9,14 +9,15 @@ use glam::{Vec2, Vec3};
 use texir_core::backend::{
     Backend, Gather, Gathered, GroupTarget, Groups, Material, RoughnessGradient, Sampling, Sequences, ShadePoint,
 };
-use texir_core::brdf::{fresnel_weight, g_schlick};
+use texir_core::brdf::{Masking, fresnel_weight, g_schlick};
 use texir_core::cpu::CpuBackend;
 use texir_core::error::Error;
-use texir_core::lights::Lights;
+use texir_core::lights::{Cut, LightPart, Lights};
 use texir_core::progress::{Progress, Silent};
 use texir_core::raster::Rgb;
 use texir_core::rng::{hash, sobol2};
 use texir_core::scene::{Scene, TriangleOpacity};
+use texir_core::specular_table::{STRATA, TableSampling};
 use texir_core::surface::{Hit, SurfacePoint};
 use texir_core::texture::{Pyramid, SparseRows, Tap};
 use texir_gpu::{BvhStorage, GatherShape, Gpu, GpuBackend};
@@ -27,6 +28,8 @@ use texir_tests::{gpu, scenes};
 const ROUNDING: Tolerance = Tolerance { absolute: 0.0, relative: 2e-5 };
 /// The same by another traversal, which differs in a few of thousands of hits at the edges of texels.
 const TRACED: Tolerance = Tolerance { absolute: 0.0, relative: 2e-4 };
+/// The same, in half floats.
+const HALF: Tolerance = Tolerance { absolute: 1e-3, relative: 3e-3 };
 
 fn room() -> Arc<Scene> {
     let mut mesh = scenes::furnished_room();
@@ -147,7 +150,9 @@ fn light_passes_through_panes_as_if_they_were_not_there() {
     let gpu = gpu();
     let gathered = |backend: &mut dyn Backend, points: &[SurfacePoint], light_samples: u32| {
         let lights = scenes::lights(backend, &radiance);
-        assert!(!lights.is_empty() && lights.triangles.iter().all(|l| backend.scene().is_solid()[l.triangle as usize]));
+        let shine = |l: &LightPart| l.pdf_area > 0.0;
+        let solid = backend.scene().is_solid();
+        assert!(!lights.is_empty() && lights.parts.iter().all(|l| !shine(l) || solid[l.triangle as usize]));
         backend.set_tbl(&radiance, &lights).unwrap();
         flat(&backend.irradiance(points, Gather::new(64, light_samples, 5), &Silent).unwrap())
     };
@@ -218,6 +223,35 @@ fn lights_are_solid() {
 }
 
 #[test]
+fn parts_of_triangles_are_sampled_alike() {
+    // Spots of a few texels on walls of two triangles.
+    let scene = room();
+    let mut radiance = Rgb::filled(192, 192, [0.1, 0.2, 0.3]);
+    (0..60).for_each(|i| radiance.data[hash(i) as usize % (192 * 192)] = [30.0, 20.0, 10.0]);
+    let points = points(&scene, 64);
+    let pixels: Vec<_> = shading(&points).0.into_iter().map(|point| [point; STRATA]).collect();
+    let gather = Gather::new(16, 48, 3);
+    let table = TableSampling { lobe: 2, cosine: 2, light: 8, seed: 4, masking: Masking::Schlick };
+    let gathered = |backend: &mut dyn Backend, change: &dyn Fn(&mut Lights)| {
+        let mut lights = scenes::lights(backend, &radiance);
+        assert!(lights.parts.iter().any(|light| light.part.level() > 2 && light.pdf_area > 0.0));
+        change(&mut lights);
+        backend.set_tbl(&radiance, &lights).unwrap();
+        let e = flat(&backend.irradiance(&points, gather, &Silent).unwrap());
+        let tables = backend.specular_tables(&pixels, 0.04, table, &Silent).unwrap();
+        (e, tables.iter().flat_map(|curve| curve.nodes).flatten().map(|s| f64::from(s.to_f32())).collect::<Vec<_>>())
+    };
+    let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
+    let expected = gathered(&mut CpuBackend::new(scene.clone()), &|_| ());
+    let got = gathered(&mut gpu, &|_| ());
+    TRACED.check("irradiance", &got.0, &expected.0);
+    HALF.check("specular tables", &got.1, &expected.1);
+    // Negative control: other densities of the parts are other sums.
+    let other = gathered(&mut gpu, &|lights| lights.parts.iter_mut().for_each(|light| light.pdf_area *= 2.0));
+    assert!(TRACED.failures(&other.0, &expected.0).len() * 2 > expected.0.len());
+}
+
+#[test]
 fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
     let (mesh, radiance) = scenes::room_with_strip(192);
     let scene = Arc::new(Scene::new(mesh).unwrap());
@@ -228,7 +262,7 @@ fn lights_in_several_leaves_of_the_hierarchy_shine_in_full() {
     let mut cpu = CpuBackend::new(scene.clone());
     let mut gpu = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let lights = scenes::lights(&mut cpu, &radiance);
-    assert!((strip..strip + 2).all(|t| lights.of(t).is_some()), "the strip is no light");
+    assert!((strip..strip + 2).all(|t| lights.at(t, [0.3; 2]).is_some()), "the strip is no light");
     let gathered = [&mut cpu as &mut dyn Backend, &mut gpu].map(|backend| {
         backend.set_tbl(&radiance, &lights).unwrap();
         flat(&backend.irradiance(&points, Gather::new(64, 64, 5), &Silent).unwrap())
@@ -444,7 +478,7 @@ fn misused(backend: &mut dyn Backend) {
     backend.set_tbl(&scenes::smooth_light(8), &dark).unwrap();
     let none = backend.irradiance(&points, Gather { cosine: 0, ..one }, &Silent).unwrap_err().to_string();
     assert!(none.contains("samples"), "{none}");
-    let foreign = Lights { light_of_triangle: vec![0; 3], ..dark };
+    let foreign = Lights { cuts: vec![Cut::NONE; 3], ..dark };
     let foreign = backend.set_tbl(&scenes::smooth_light(8), &foreign).unwrap_err().to_string();
     assert!(foreign.contains("another mesh"), "{foreign}");
     let clusterless = Lights { clusters: Vec::new(), ..Lights::none(scene.mesh()) };

@@ -162,7 +162,7 @@ fn a_small_lamp_shines_as_in_shading_at_every_node() {
     noise.check("with light samples", &table(&lights, 256), &expected);
     // Negative control: light samples whose density is left out of the sum are too bright.
     let mut uncounted = lights;
-    uncounted.triangles.iter_mut().for_each(|light| light.pdf_area = 0.0);
+    uncounted.parts.iter_mut().for_each(|light| light.pdf_area = 0.0);
     assert!(noise.failures(&table(&uncounted, 256), &expected).len() >= 2);
 }
 

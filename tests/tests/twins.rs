@@ -149,7 +149,7 @@ fn irradiance_gather() {
     let light = scenes::smooth_light(192);
     let mut backend = GpuBackend::new(&gpu(), scene.clone()).unwrap();
     let lights = scenes::lights(&mut backend, &light);
-    assert!(lights.triangles.len() > 10);
+    assert!(lights.members.len() > 10);
     backend.set_tbl(&light, &lights).unwrap();
     let points = points(&scene, 150);
     let exact = BruteForce(scene.mesh());

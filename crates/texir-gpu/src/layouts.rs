@@ -73,11 +73,21 @@ fn all() -> Vec<(&'static str, &'static str, Layout)> {
         ("shade", "Material", host!(Material { albedo, roughness, metallic })),
         ("shade", "Shaded", host!(Shaded { radiance, specular_scale, roughness_jacobian })),
         ("shade_vjp", "MaterialGrad", host!(MaterialGrad { albedo, roughness, metallic })),
-        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, cluster, cdf, pdf_area })),
+        ("irradiance", "LightPrimitive", host!(LightPrimitive { primitive, part, cluster, pdf_area })),
         (
             "irradiance",
             "LightGrid",
-            host!(LightGrid { origin, per_metre, size, clusters, first_cell, first_cluster, one_sided }),
+            host!(LightGrid {
+                origin,
+                per_metre,
+                size,
+                clusters,
+                first_cell,
+                first_cluster,
+                first_member,
+                first_cdf,
+                one_sided
+            }),
         ),
         ("irradiance", "Gathered", host!(Gathered { irradiance, back_faces })),
         ("lookup", "Tap", host!(Tap { texel, weight })),

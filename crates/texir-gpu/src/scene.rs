@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use texir_core::environment::Environment;
 use texir_core::error::{Error, Result};
-use texir_core::lights::{LightTriangle, Lights};
+use texir_core::lights::{LightPart, Lights, Part};
 use texir_core::raster::Rgb;
 use texir_core::scene::Scene;
 
@@ -196,8 +196,8 @@ impl EnvironmentMap {
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct LightPrimitive {
     pub primitive: u32,
+    pub part: Part,
     pub cluster: u32,
-    pub cdf: f32,
     pub pdf_area: f32,
 }
 
@@ -211,8 +211,10 @@ pub(crate) struct LightGrid {
     pub clusters: u32,
     pub first_cell: u32,
     pub first_cluster: u32,
+    pub first_member: u32,
+    pub first_cdf: u32,
     pub one_sided: u32,
-    pub pad: u32,
+    pub pad: [u32; 3],
 }
 
 /// The texture-based lighting and the lights in it.
@@ -235,31 +237,37 @@ impl Lighting {
         for (primitive, &triangle) in order.iter().enumerate() {
             primitive_of[triangle as usize] = primitive as u32;
         }
-        // What is no light has number 0, and so the first of them.
-        let mut primitives = vec![LightPrimitive::zeroed()];
-        primitives.extend(lights.triangles.iter().map(|light| {
-            let LightTriangle { triangle, cluster, cdf, pdf_area } = *light;
-            LightPrimitive { primitive: primitive_of[triangle as usize], cluster, cdf, pdf_area }
-        }));
-        let mut index: Vec<u32> = order.iter().map(|&t| lights.light_of_triangle[t as usize]).collect();
+        let primitives: Vec<LightPrimitive> = (lights.parts.iter())
+            .map(|&LightPart { triangle, part, cluster, pdf_area }| {
+                let primitive = primitive_of.get(triangle as usize).copied().unwrap_or(0);
+                LightPrimitive { primitive, part, cluster, pdf_area }
+            })
+            .collect();
+        let mut index: Vec<u32> = order.iter().map(|&t| bytemuck::cast(lights.cuts[t as usize])).collect();
+        let first_cell = index.len() as u32;
         index.extend(&lights.grid.tables);
-        index.extend(lights.clusters.iter().map(|first| 1 + first));
+        let first_cluster = index.len() as u32;
+        index.extend(&lights.clusters);
+        let first_member = index.len() as u32;
+        index.extend(&lights.members);
         let clusters = lights.clusters.len() - 1;
         let grid = LightGrid {
             origin: lights.grid.origin.to_array(),
             per_metre: lights.grid.per_metre,
             size: lights.grid.size,
             clusters: clusters as u32,
-            first_cell: order.len() as u32,
-            first_cluster: (order.len() + lights.grid.tables.len()) as u32,
+            first_cell,
+            first_cluster,
+            first_member,
+            first_cdf: lights.tables.len() as u32,
             one_sided: u32::from(lights.one_sided),
-            pad: 0,
+            pad: [0; 3],
         };
         Ok(Self {
             tbl: radiance_texture(gpu, "texture-based lighting", radiance)?,
             light_primitives: keep(gpu, "light primitives", &primitives)?,
             light_index: keep(gpu, "light index", &index)?,
-            light_tables: keep(gpu, "light tables", &lights.tables)?,
+            light_tables: keep(gpu, "light tables", &[&lights.tables[..], &lights.cdf].concat())?,
             light_grid: uniform(gpu, &grid),
             clusters,
         })

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{Gather, GroupTarget, Groups, MAX_SAMPLES, Material, Sampling, Sequences, ShadePoint, Shaded};
 use crate::error::{Error, Result};
-use crate::lights::Lights;
+use crate::lights::{Cut, Lights};
 use crate::punctual::PunctualLight;
 use crate::raster::Rgb;
 use crate::scene::Scene;
@@ -59,23 +59,21 @@ pub fn tbl(scene: &Scene, radiance: &Rgb, lights: &Lights) -> Result<()> {
     }
     radiance.check_radiance("the texture-based lighting")?;
     let triangles = scene.mesh().triangles.len();
-    let known = lights.triangles.iter().all(|l| (l.triangle as usize) < triangles);
-    if lights.light_of_triangle.len() != triangles || !known {
+    if lights.cuts.len() != triangles {
         return Err(Error::invalid(format!(
             "the lights are those of another mesh: {} triangles, the backend's has {triangles}",
-            lights.light_of_triangle.len()
+            lights.cuts.len()
         )));
     }
     if !lights.is_consistent() {
         return Err(Error::invalid(
-            "the lights' clusters, tables and grid do not fit each other; expected those that Lights makes",
+            "the lights' parts, clusters, tables and grid do not fit each other; expected those that Lights makes",
         ));
     }
     let is_solid = scene.is_solid();
-    match lights.triangles.iter().find(|light| !is_solid[light.triangle as usize]) {
-        Some(light) => Err(Error::invalid(format!(
-            "triangle {} is among the lights, but transparent, so that no ray meets it; expected lights of opaque triangles",
-            light.triangle
+    match lights.cuts.iter().zip(&is_solid).position(|(cut, solid)| *cut != Cut::NONE && !solid) {
+        Some(triangle) => Err(Error::invalid(format!(
+            "triangle {triangle} is among the lights, but transparent, so that no ray meets it; expected lights of opaque triangles",
         ))),
         None => Ok(()),
     }

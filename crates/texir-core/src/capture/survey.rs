@@ -245,7 +245,8 @@ impl Survey {
         let (most, pixels) = off().max_by(|a, b| a.1.total_cmp(&b.1))?;
         Some(format!(
             "{} of {} training views are out of place on the mesh, {:?} most, by {pixels:.1} pixels: --refine-poses moves them to where \
-             they agree with the others, unless it is the mesh that is off, or something was moved",
+             they agree with the others, unless it is the mesh that is off (in another unit or frame than the cameras, say), or \
+             something was moved",
             off().count(),
             self.0.len(),
             most.name

@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_1_PI;
 
 use arrayvec::ArrayVec;
 
-use super::light_sampling::{light_pdf, light_point};
+use super::light_sampling::{light_at, light_pdf, light_point};
 use super::lighting::{Lighting, TOGETHER};
 use super::sampling::{Frame, cosine_direction};
 #[cfg(doc)]
@@ -53,7 +53,7 @@ pub fn irradiance<R: Real, T: Trace<R>>(
             continue;
         };
         behind += u32::from(hit.back);
-        if hit.back && lights.is_black_behind(hit.triangle) {
+        if hit.back && (lights.one_sided || light_at(lights, &hit).is_some()) {
             continue;
         }
         let density = n_cosine * z * R::of(FRAC_1_PI) + n_light * light_pdf(mesh, lights, table, &hit, direction);

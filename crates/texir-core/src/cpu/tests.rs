@@ -295,7 +295,7 @@ fn light_samples_change_the_noise_and_not_the_mean() {
         }
     }
     let lights = Lights::find(&scene, &atlas, &tbl).unwrap();
-    assert_eq!(lights.triangles.len(), 2);
+    assert_eq!(lights.members.len(), 2);
     backend.set_tbl(&tbl, &lights).unwrap();
     let mut gather = |cosine, light, seed| -> Vec<f64> {
         let all = backend.irradiance(&atlas.points, Gather::new(cosine, light, seed), &Silent).unwrap();
@@ -313,7 +313,7 @@ fn light_samples_change_the_noise_and_not_the_mean() {
     assert!(rms < 0.7 * plain, "{rms} against {plain} by the cosine alone");
     // Negative control: a density that is not that of the samples is a bias that this test sees.
     let mut wrong = lights;
-    wrong.triangles.iter_mut().for_each(|light| light.pdf_area *= 0.8);
+    wrong.parts.iter_mut().for_each(|light| light.pdf_area *= 0.8);
     backend.set_tbl(&tbl, &wrong).unwrap();
     let all = backend.irradiance(&atlas.points, Gather::new(32, 32, 2), &Silent).unwrap();
     let biased: Vec<f64> = all.iter().map(|g| f64::from(g.irradiance[0])).collect();

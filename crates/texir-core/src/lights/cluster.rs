@@ -1,23 +1,31 @@
-//! Clusters of light triangles: those that are near each other and face the same way are seen, or hidden, together.
+//! Clusters of lights: those that are near each other and face the same way are seen, or hidden, together.
 
 use glam::Vec3;
 
-use crate::mesh::{Mesh, bounds};
-use crate::surface::facing;
+use crate::mesh::bounds;
 
 /// Most clusters of a scene. Fewer make a table a worse fit; more cost memory and shadow rays, and leave each too few
 /// samples to spread well (docs/irradiance.md).
 const CLUSTERS: usize = 256;
 
-/// Splits the triangles by facing, then at half of the power along the longest axis, the cluster of greatest power ×
+/// What is to be clustered.
+pub struct Shining {
+    pub corners: [Vec3; 3],
+    /// Which of the six ways of [`crate::surface::facing`].
+    pub facing: usize,
+    pub power: f32,
+}
+
+/// Splits the lights by facing, then at half of the power along the longest axis, the cluster of greatest power ×
 /// extent first. Within a cluster, neighbours in the list are neighbours in space.
-pub fn clusters(mesh: &Mesh, triangles: Vec<u32>, power: &impl Fn(u32) -> f32) -> Vec<Vec<u32>> {
+pub fn clusters(lights: &[Shining]) -> Vec<Vec<u32>> {
     let mut clusters = vec![Vec::new(); 6];
-    triangles.into_iter().for_each(|t| clusters[facing(mesh.face_normal(t))].push(t));
+    (0..).zip(lights).for_each(|(index, light)| clusters[light.facing].push(index));
     clusters.retain(|c| !c.is_empty());
-    let total = |cluster: &[u32]| cluster.iter().map(|&t| f64::from(power(t))).sum::<f64>();
+    let power = |index: &u32| f64::from(lights[*index as usize].power);
+    let total = |cluster: &[u32]| cluster.iter().map(power).sum::<f64>();
     let spread = |cluster: &[u32]| {
-        if cluster.len() > 1 { total(cluster) as f32 * extent(mesh, cluster).length() } else { 0.0 }
+        if cluster.len() > 1 { total(cluster) as f32 * extent(lights, cluster).length() } else { 0.0 }
     };
     let mut spreads: Vec<f32> = clusters.iter().map(|c| spread(c)).collect();
     while clusters.len() < CLUSTERS {
@@ -25,11 +33,11 @@ pub fn clusters(mesh: &Mesh, triangles: Vec<u32>, power: &impl Fn(u32) -> f32) -
         else {
             break;
         };
-        sort_along_longest(mesh, &mut clusters[widest]);
+        sort_along_longest(lights, &mut clusters[widest]);
         let half = total(&clusters[widest]) / 2.0;
         let mut sum = 0.0;
-        let reaches_half = |&t: &u32| {
-            sum += f64::from(power(t));
+        let reaches_half = |index: &u32| {
+            sum += power(index);
             sum >= half
         };
         let last = clusters[widest].len() - 1;
@@ -39,27 +47,28 @@ pub fn clusters(mesh: &Mesh, triangles: Vec<u32>, power: &impl Fn(u32) -> f32) -
         spreads.push(spread(&other));
         clusters.push(other);
     }
-    clusters.iter_mut().for_each(|c| order(mesh, c));
+    clusters.iter_mut().for_each(|c| order(lights, c));
     clusters
 }
 
 /// Halves along the longest axis, halves of halves, and so on.
-fn order(mesh: &Mesh, triangles: &mut [u32]) {
-    if triangles.len() > 2 {
-        sort_along_longest(mesh, triangles);
-        let (left, right) = triangles.split_at_mut(triangles.len() / 2);
-        order(mesh, left);
-        order(mesh, right);
+fn order(lights: &[Shining], cluster: &mut [u32]) {
+    if cluster.len() > 2 {
+        sort_along_longest(lights, cluster);
+        let (left, right) = cluster.split_at_mut(cluster.len() / 2);
+        order(lights, left);
+        order(lights, right);
     }
 }
 
-fn sort_along_longest(mesh: &Mesh, triangles: &mut [u32]) {
-    let axis = extent(mesh, triangles).max_position();
-    triangles.sort_by(|&a, &b| mesh.centre(a)[axis].total_cmp(&mesh.centre(b)[axis]));
+fn sort_along_longest(lights: &[Shining], cluster: &mut [u32]) {
+    let axis = extent(lights, cluster).max_position();
+    let centre = |index: u32| lights[index as usize].corners.iter().map(|corner| corner[axis]).sum::<f32>();
+    cluster.sort_by(|&a, &b| centre(a).total_cmp(&centre(b)));
 }
 
 /// Edges of the bounding box.
-fn extent(mesh: &Mesh, triangles: &[u32]) -> Vec3 {
-    let (low, high) = bounds(triangles.iter().flat_map(|&t| mesh.corners(t)));
+fn extent(lights: &[Shining], cluster: &[u32]) -> Vec3 {
+    let (low, high) = bounds(cluster.iter().flat_map(|&index| lights[index as usize].corners));
     high - low
 }

@@ -7,7 +7,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{LightGrid, Lights, point_on};
+use super::{LightGrid, Lights};
 use crate::distribution::cdf;
 use crate::mesh::bounds;
 use crate::real::V3;
@@ -90,20 +90,20 @@ fn contribution<'a>(
     for i in 0..RAYS {
         let point = point(hash2(seed, i));
         let [u, v] = sobol2(i, seed);
-        let (triangle, u) = lights.triangle(cluster, u);
+        let (light, u) = lights.part(cluster, u);
         let origin = V3(point.position);
-        let to = point_on(mesh, triangle, [u, v]) - origin;
+        let to = light.point(mesh, [u, v]) - origin;
         let squared = to.dot(to);
         let direction = to * (1.0 / squared.sqrt());
         let cosine = V3(point.normal).dot(direction);
-        let towards = -mesh.face_normal(triangle).dot(Vec3::from(direction.0));
+        let towards = -mesh.face_normal(light.triangle).dot(Vec3::from(direction.0));
         if !(cosine > 0.0 && towards > 0.0) {
             continue;
         }
         // L / density is the cluster's power, the same for all its points.
         let square = (cosine * towards / squared.max(nearest)).powi(2);
         open += square;
-        if scene.closest(origin, direction).is_some_and(|hit| hit.triangle == triangle) {
+        if scene.closest(origin, direction).is_some_and(|hit| hit.triangle == light.triangle) {
             seen += square;
         }
     }

@@ -112,7 +112,7 @@ fn a_rectangle_shines_as_its_form_factor_says() {
     }
     // Tables that all but rule out the lamp of this room change the noise, not the mean.
     let clusters = lights.clusters.len() - 1;
-    let lamp = |c: usize| scene.mesh().centre(lights.triangle(c, 0.0).0).x < 2.0;
+    let lamp = |c: usize| scene.mesh().centre(lights.part(c, 0.0).0.triangle).x < 2.0;
     let unwise: Vec<f32> = (0..clusters).map(|c| if lamp(c) { 1e-3 } else { 1.0 }).collect();
     let unwise = cdf(&unwise).repeat(lights.tables.len() / clusters);
     lights.tables = unwise;
@@ -121,7 +121,7 @@ fn a_rectangle_shines_as_its_form_factor_says() {
     let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 64, 8);
     assert!((mean / expected - 1.0).abs() < 1e-2, "{mean} for {expected} by an unwise table");
     // Negative control: a density that is not the draws' own is a bias that this test sees.
-    lights.triangles.iter_mut().for_each(|light| light.pdf_area *= 3.0);
+    lights.parts.iter_mut().for_each(|light| light.pdf_area *= 3.0);
     backend.set_tbl(&radiance, &lights).unwrap();
     let (mean, _) = gathered(&mut backend, &on_floor(1.0, 1.0), 1, 8);
     let wrong = (mean / expected - 1.0).abs();
@@ -129,14 +129,70 @@ fn a_rectangle_shines_as_its_form_factor_says() {
 }
 
 #[test]
+fn a_small_lamp_on_a_large_triangle_is_aimed_at() {
+    // A ceiling of 4 × 4 m, of which 48 × 48 texels of the map, with two lamps: 3 × 2 texels, and one of half as much
+    // light.
+    const TEXEL: f32 = 4.0 / 48.0;
+    let mut q = Quads::new(1);
+    q.add(0, Vec3::new(-2.0, -2.0, 2.0), 4.0 * Vec3::Y, 4.0 * Vec3::X);
+    let mesh = q.mesh.clone();
+    // The chart begins a tenth of the map from its corner.
+    let (first, side) = (8, 64);
+    let uvs = mesh.uvs.iter().map(|uv| (Vec2::splat(first as f32) + (uv - 0.1) / 0.8 * 48.0) / side as f32).collect();
+    let scene = Arc::new(Scene::new(Mesh { uvs, ..mesh }).unwrap());
+    let mut radiance = Rgb::filled(side, side, [0.01; 3]);
+    let mut lamp = |x: std::ops::Range<usize>, y: std::ops::Range<usize>, l: f32| {
+        for at in y.flat_map(|y| x.clone().map(move |x| (first + y) * side + first + x)) {
+            radiance.data[at] = [l; 3];
+        }
+    };
+    lamp(30..33, 10..12, 100.0);
+    lamp(5..6, 40..41, 50.0);
+    let atlas = Atlas::new(&mut CpuBackend::new(scene.clone()), [side, side]).unwrap();
+    let lights = Lights::find(&scene, &atlas, &radiance).unwrap();
+    let shining: f32 = (lights.members.iter())
+        .map(|&m| lights.parts[m as usize])
+        .map(|light| scene.mesh().area(light.triangle) / 4.0f32.powi(light.part.level() as i32))
+        .sum();
+    assert!(shining < 8.0 * 7.0 * TEXEL * TEXEL, "{shining} m² of lights");
+
+    let mut backend = CpuBackend::new(scene.clone());
+    let point = on_floor(0.4, -0.7);
+    // Columns of the map run along y, rows along x.
+    let corner = |row: usize, column: usize| [row, column].map(|at| -2.0 + f64::from(TEXEL) * at as f64);
+    let seen = |rows: [usize; 2], columns: [usize; 2]| {
+        let [low, high] = [0, 1].map(|end| corner(rows[end], columns[end]));
+        form_factor([0.4, -0.7], low, high, 2.0 - 1e-4)
+    };
+    let all = 0.01 * form_factor([0.4, -0.7], [-2.0; 2], [2.0; 2], 2.0 - 1e-4);
+    let lamps = 99.99 * seen([10, 12], [30, 33]) + 49.99 * seen([40, 41], [5, 6]);
+    let expected = PI * (all + lamps);
+    backend.set_tbl(&radiance, &lights).unwrap();
+    let (mean, deviation) = gathered(&mut backend, &point, 16, 16);
+    assert!((mean / expected - 1.0).abs() < 5e-3, "{mean} for {expected}");
+    assert!(deviation < 0.6, "{deviation}");
+    // Its triangles as wholes say the same in the mean, with far more noise.
+    backend.set_tbl(&radiance, &Lights::by_power(scene.mesh(), &[1.0; 2])).unwrap();
+    let (mean, of_wholes) = gathered(&mut backend, &point, 16, 16);
+    assert!((mean / expected - 1.0).abs() < 5e-2, "{mean} for {expected} by whole triangles");
+    assert!(deviation < of_wholes / 5.0, "{deviation} for {of_wholes} by whole triangles");
+    // Negative control: a density that is not the draws' own.
+    let mut wrong = lights;
+    wrong.parts.iter_mut().for_each(|light| light.pdf_area *= 1.1);
+    backend.set_tbl(&radiance, &wrong).unwrap();
+    let (mean, _) = gathered(&mut backend, &point, 16, 16);
+    assert!((mean / expected - 1.0).abs() > 2e-2, "{mean} for {expected}");
+}
+
+#[test]
 fn a_room_is_lit_by_its_own_lamp() {
     let (scene, radiance) = two_rooms();
     let lights = Lights::find(&scene, &atlas(&scene), &radiance).unwrap();
-    assert_eq!(lights.triangles.len(), 4);
+    assert_eq!(lights.members.len(), 4);
     let share = |point: SurfacePoint, left: bool| -> f32 {
         let table = lights.table(point.position.into(), point.normal.into());
         let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
-        let here = |c: &usize| (scene.mesh().centre(lights.triangle(*c, 0.0).0).x < 2.0) == left;
+        let here = |c: &usize| (scene.mesh().centre(lights.part(*c, 0.0).0.triangle).x < 2.0) == left;
         (0..table.len()).filter(here).map(of).sum()
     };
     assert!(share(on_floor(1.0, 1.0), true) > 0.85);
@@ -153,9 +209,9 @@ fn every_table_is_a_density() {
     assert!(lights.tables.len() > 10 * clusters);
     for table in lights.tables.chunks(clusters) {
         let of = |c: usize| table[c] - if c > 0 { table[c - 1] } else { 0.0 };
-        let total: f32 = (lights.triangles.iter())
-            .map(|light| of(light.cluster as usize) * light.pdf_area * scene.mesh().area(light.triangle))
-            .sum();
+        let area = |light: &LightPart| scene.mesh().area(light.triangle) / 4.0f32.powi(light.part.level() as i32);
+        let total: f32 =
+            lights.parts.iter().map(|light| of(light.cluster as usize) * light.pdf_area * area(light)).sum();
         assert!((total - 1.0).abs() < 1e-5, "{total}");
     }
 }
@@ -173,15 +229,17 @@ fn clusters_hold_every_light_once_and_face_one_way() {
     mesh.uvs = vec![Vec2::ZERO; mesh.positions.len()];
     mesh.normals = vec![Vec3::Z; mesh.positions.len()];
     let lights = Lights::by_power(&mesh, &vec![1.0; 1000]);
-    let mut all: Vec<u32> = lights.triangles.iter().map(|l| l.triangle).collect();
+    let member = |&index: &u32| lights.parts[index as usize];
+    let mut all: Vec<u32> = lights.members.iter().map(|m| member(m).triangle).collect();
     all.sort_unstable();
     assert!(all.into_iter().eq(0..1000));
     assert_eq!(lights.clusters.len() - 1, 256);
     for range in lights.clusters.windows(2) {
-        let members = &lights.triangles[range[0] as usize..range[1] as usize];
-        let way = |l: &LightTriangle| facing(mesh.face_normal(l.triangle));
-        assert!(!members.is_empty() && members.iter().all(|l| way(l) == way(&members[0])));
-        assert_eq!(members.last().map(|l| l.cdf), Some(1.0));
+        let range = range[0] as usize..range[1] as usize;
+        let members = &lights.members[range.clone()];
+        let way = |m: &u32| facing(mesh.face_normal(member(m).triangle));
+        assert!(!members.is_empty() && members.iter().all(|m| way(m) == way(&members[0])));
+        assert_eq!(lights.cdf[range].last(), Some(&1.0));
     }
 }
 
