@@ -9,6 +9,7 @@ mod beyond;
 mod one_sided;
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::Path;
 
 use bytesize::ByteSize;
@@ -32,6 +33,18 @@ use crate::error::{Error, Result};
 use crate::image_io::{encode_png, encode_srgb};
 use crate::mesh::Mesh;
 use crate::raster::{Gray, Raster, Rgb, times};
+
+/// How `asset.generator` of what is written here begins.
+const GENERATOR: &str = "texir ";
+
+/// Whether a file is a GLB that texir wrote, by its `asset.generator`; not where it cannot be read.
+pub fn is_by_texir(path: impl AsRef<Path>) -> bool {
+    let generator = || {
+        let glb = Glb::from_reader(File::open(path).ok()?).ok()?;
+        Root::from_slice(&glb.json).ok()?.asset.generator
+    };
+    generator().is_some_and(|generator| generator.starts_with(GENERATOR))
+}
 
 /// Textures in the mesh's atlas.
 #[derive(Clone, Copy, Debug)]
@@ -174,7 +187,7 @@ impl Builder {
     /// Writes everything collected.
     pub fn write(mut self, path: &Path) -> Result<()> {
         self.pad();
-        self.root.asset.generator = Some(concat!("texir ", env!("CARGO_PKG_VERSION")).to_owned());
+        self.root.asset.generator = Some(format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION")));
         self.root.buffers.push(Buffer {
             byte_length: USize64::from(self.bytes.len()),
             name: None,

@@ -89,6 +89,27 @@ fn an_authored_scene_is_baked_for_an_engine() {
 }
 
 #[test]
+fn a_scene_of_others_beside_the_map_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, other, map] = ["scene.glb", "map.glb", "map.exr"].map(|name| folder.path().join(name));
+    write_scene(&scene, 1000.0);
+    let how = ["--size", "16", "--spp", "4", "--bounces", "0", "--backend", "cpu", "-o"].map(AsRef::as_ref);
+    let bake = [&["bake".as_ref(), scene.as_os_str()], &how[..], &[map.as_os_str()]].concat();
+    let mut bytes = std::fs::read(&scene).unwrap();
+    let generator = bytes.windows(6).position(|w| w == b"texir ").unwrap();
+    bytes[generator..generator + 6].copy_from_slice(b"other ");
+    std::fs::write(&other, &bytes).unwrap();
+    let said = run(&bake);
+    assert_eq!(said.code, Some(1), "{said:#?}");
+    said.complains(&["map.glb", "texir did not write it", "--output"]);
+    assert!(std::fs::read(&other).unwrap() == bytes && !map.exists());
+    // Negative control: what texir wrote is written anew.
+    std::fs::remove_file(&other).unwrap();
+    succeed(&bake);
+    succeed(&bake);
+}
+
+#[test]
 fn an_environment_shines_in_the_unit_that_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let [scene, sky, output] = ["scene.glb", "sky.hdr", "out.exr"].map(|name| folder.path().join(name));

@@ -87,11 +87,11 @@ fn holes(adjacency: &Adjacency, shines: impl Fn(u32) -> bool) -> Vec<u32> {
     (0..texels).filter(|&i| shines(i)).for_each(|i| sizes[source[i as usize] as usize] += 1);
     let most = |sizes: &[u32]| (sizes.iter().map(|size| u64::from(*size)).sum::<u64>() as f32 * HOLE) as usize;
     let most_of_all = most(&sizes);
-    let mut place = vec![u32::MAX; texels as usize];
+    let mut place = vec![NONE; texels as usize];
     let mut all = Vec::new();
     let beside_one = |i: &u32| adjacency.around(*i).any(&shines);
     for first in (0..texels).filter(|i| !shines(*i)).filter(beside_one) {
-        if place[first as usize] != u32::MAX {
+        if place[first as usize] != NONE {
             continue;
         }
         place[first as usize] = first;
@@ -105,8 +105,8 @@ fn holes(adjacency: &Adjacency, shines: impl Fn(u32) -> bool) -> Vec<u32> {
                     continue;
                 }
                 // One that was looked at before was no hole.
-                enclosed &= [u32::MAX, first].contains(&place[n as usize]);
-                if place[n as usize] == u32::MAX {
+                enclosed &= [NONE, first].contains(&place[n as usize]);
+                if place[n as usize] == NONE {
                     place[n as usize] = first;
                     hole.push(n);
                 }

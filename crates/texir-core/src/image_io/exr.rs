@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::{ImageRows, bytes_of, check_size, most_memory, one_channel, primaries};
 use crate::atomic_file::write_atomic;
 use crate::error::{Error, Result};
-use crate::raster::{Gray, Raster, Rgb};
+use crate::raster::{Gray, Rgb};
 
 /// Size of the display window, from the header.
 pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
@@ -110,24 +110,24 @@ pub(super) fn read_gray(path: &Path) -> Result<Gray> {
 }
 
 /// What [`read_channels`] found.
-struct Picked<const N: usize> {
-    raster: Raster<[f32; N]>,
+struct Picked {
+    raster: Rgb,
     /// The channels' places in their layer.
-    channels: [usize; N],
+    channels: [usize; 3],
     /// Of which primaries R, G and B are.
     chromaticities: Option<Chromaticities>,
     /// Opacity of each pixel, where they have an alpha channel beside them.
     alpha: Option<Vec<f32>>,
 }
 
-/// The channels that `select` picks by name from the first layer that has them, placed in the display window: pixels
+/// The three channels that `select` picks by name from the first layer that has them, placed in the display window: pixels
 /// outside of the data window are `empty`.
-fn read_channels<const N: usize>(
+fn read_channels(
     path: &Path,
     expected: &str,
     empty: f32,
-    select: impl Fn(&[String]) -> Option<[usize; N]>,
-) -> Result<Picked<N>> {
+    select: impl Fn(&[String]) -> Option<[usize; 3]>,
+) -> Result<Picked> {
     let image: FlatImage = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -144,7 +144,7 @@ fn read_channels<const N: usize>(
             found.extend(names);
             continue;
         };
-        let mut planes = [&channels[0]; N];
+        let mut planes = [&channels[0]; 3];
         for (plane, index) in planes.iter_mut().zip(picked) {
             *plane = &channels[index];
             if plane.sampling != Vec2(1, 1) {
@@ -156,7 +156,7 @@ fn read_channels<const N: usize>(
         }
         let window = image.attributes.display_window;
         let offset = layer.attributes.layer_position - window.position;
-        let mut raster = Raster::filled(window.size.width(), window.size.height(), [empty; N]);
+        let mut raster = Rgb::filled(window.size.width(), window.size.height(), [empty; 3]);
         let beside = names[picked[0]].strip_suffix(['R', 'Y']).map(|layer| format!("{layer}A"));
         let alpha =
             beside.and_then(|name| channels.iter().find(|c| c.name == *name.as_str() && c.sampling == Vec2(1, 1)));

@@ -9,6 +9,7 @@ use texir_core::backend::Backend;
 use texir_core::bake::{Texels, Workspace, bounce_workspace_within};
 use texir_core::checkpoint::Checkpoints;
 use texir_core::environment::Environment;
+use texir_core::glb::is_by_texir;
 use texir_core::image_io::{read_rgb, sanitise_radiance};
 use texir_core::lightmap::Profile;
 use texir_core::progress::Progress;
@@ -89,11 +90,25 @@ struct Summary {
     remainder_p99: f64,
 }
 
+/// Errors where the scene with its lightmap's coordinates, whose name nobody gave, would replace another.
+fn check_scene(scene: &Path, read: &[&Path]) -> Result<(), Failure> {
+    check_outputs(&[scene], read)?;
+    if scene.exists() && !is_by_texir(scene) {
+        return Err(Failure::new(format!(
+            "{}: exists, and texir did not write it; expected room for the scene with its lightmap's coordinates, which goes \
+             beside the map",
+            scene.display()
+        ))
+        .help("give --output another name or folder, or move that file away"));
+    }
+    Ok(())
+}
+
 /// Bakes the scene that `bake.input` is; `read` are all files that it is made of.
 pub fn run(bake: &Bake, read: &[&Path], session: &Session<'_>) -> Result<(), Failure> {
     let options = &bake.authored;
     let tolerance = options.tolerance.unwrap_or(TOLERANCE);
-    check_outputs(&[&bake.output.with_extension("glb")], read)?;
+    check_scene(&bake.output.with_extension("glb"), read)?;
     let environment = options.environment.as_ref().map(|path| read_environment(path, options, session)).transpose()?;
     let reflected = if options.specular { BounceAlbedo::DiffuseAndSpecular } else { BounceAlbedo::Diffuse };
     let mut model = authored::read_gltf(&bake.input, bake.size.unwrap_or(DEFAULT_SIZE), reflected, session.console)?;
