@@ -24,6 +24,10 @@ const UNEVEN: f64 = 1.5;
 const FINER: u32 = 2;
 /// Most halvings of a triangle's edges where its luminance is sampled.
 const FINEST: u32 = 12;
+/// Most parts per texel, as which its luminance is sampled, of a triangle that has more than [`NARROW`] parts.
+const PER_TEXEL: f32 = 16.0;
+/// Parts as which the luminance of any triangle may be sampled.
+const NARROW: f32 = 1024.0;
 /// Most parts of all triangles that are cut: 16 MiB.
 const MAX_PARTS: u64 = 1 << 20;
 
@@ -161,12 +165,11 @@ impl<'a> Finder<'a> {
         learn::learn(Lights::by_parts(mesh, luminances.into_iter()), self.scene, &self.chosen)
     }
 
-    /// How often a triangle's edges are halved until they are no longer than a texel.
+    /// [`texel_level`] of a triangle of the mesh.
     fn texel_level(&self, triangle: u32) -> u32 {
-        let [a, b, c] = self.scene.mesh().corner_uvs(triangle);
-        let texels = |edge: Vec2| (edge * Vec2::from(self.radiance.size().map(|n| n as f32))).length();
-        let longest = texels(b - a).max(texels(c - a)).max(texels(c - b));
-        longest.log2().ceil().clamp(0.0, FINEST as f32) as u32
+        // What is beyond the map is looked up at its edge.
+        let size = Vec2::from(self.radiance.size().map(|n| n as f32));
+        texel_level(self.scene.mesh().corner_uvs(triangle).map(|uv| uv.clamp(Vec2::ZERO, Vec2::ONE) * size))
     }
 
     /// Luminance that rays meet on a triangle, at the centres of its parts.
@@ -214,6 +217,14 @@ impl<'a> Finder<'a> {
     }
 }
 
+/// How often the edges of a triangle, here in texels, are halved until they are no longer than one; less often where it
+/// is so narrow that this would be many times more parts than it has texels.
+fn texel_level([a, b, c]: [Vec2; 3]) -> u32 {
+    let longest = (b - a).length().max((c - a).length()).max((c - b).length());
+    let most = PER_TEXEL * 0.5 * (b - a).perp_dot(c - a).abs() + NARROW;
+    longest.log2().ceil().min(most.log2() / 2.0).clamp(0.0, FINEST as f32) as u32
+}
+
 /// Samples of a part's luminance, those that are not bright as 0.
 #[derive(Clone, Copy, Default)]
 struct Bright {
@@ -241,4 +252,21 @@ fn coarser(parts: &[Bright], level: u32) -> Vec<Bright> {
         coarse[part.within(level).number() as usize].add(*bright);
     }
     coarse
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn luminance_is_sampled_once_per_texel_but_not_across_slivers() {
+        let level = |x: f32, y: f32| texel_level([Vec2::ZERO, Vec2::new(x, 0.0), Vec2::new(0.0, y)]);
+        for (side, expected) in [(0.3, 0), (1.0, 1), (2.5, 2), (90.0, 7), (700.0, 10), (1e9, FINEST)] {
+            assert_eq!(level(side, side), expected, "{side} texels");
+        }
+        // 4,000 texels in a row: 32² parts and not 4,096².
+        assert_eq!(level(4000.0, 1e-3), 5);
+        assert_eq!(level(4000.0, 2.0), 7);
+        assert_eq!(texel_level([Vec2::NAN; 3]), 0);
+    }
 }
