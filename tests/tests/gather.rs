@@ -484,6 +484,16 @@ fn misused(backend: &mut dyn Backend) {
     let clusterless = Lights { clusters: Vec::new(), ..Lights::none(scene.mesh()) };
     let clusterless = backend.set_tbl(&scenes::smooth_light(8), &clusterless).unwrap_err().to_string();
     assert!(clusterless.contains("clusters"), "{clusterless}");
+    // Parts that are of no triangle, or of one that the mesh does not have.
+    let dark = Lights::none(scene.mesh());
+    for triangle in [0, u32::MAX] {
+        let stray = LightPart { triangle, ..dark.parts[0] };
+        let parts = vec![dark.parts[0], stray];
+        let of_one =
+            Lights { parts, members: vec![1], cdf: vec![1.0], clusters: vec![0, 1], tables: vec![1.0], ..dark.clone() };
+        let refused = backend.set_tbl(&scenes::smooth_light(8), &of_one).unwrap_err().to_string();
+        assert!(refused.contains("parts"), "{refused}");
+    }
     let short = Rgb { data: vec![[1.0; 3]; 63], ..scenes::smooth_light(8) };
     let short = backend.set_tbl(&short, &Lights::none(scene.mesh())).unwrap_err().to_string();
     assert!(short.contains("holds 63 values") && short.contains("8×8 pixels"), "{short}");

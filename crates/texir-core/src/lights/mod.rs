@@ -146,12 +146,19 @@ impl Lights {
                     self.parts.get(index).is_some_and(|of| of.triangle == triangle && of.part == part)
                 })
         };
+        // Those of a cut are there, as `placed` says.
+        let is_of_its_triangle = |&member: &u32| {
+            let cut = self.parts.get(member as usize).and_then(|part| self.cuts.get(part.triangle as usize));
+            cut.is_some_and(|cut| {
+                *cut != Cut::NONE && (cut.first()..cut.first() + (1 << (2 * cut.level()))).contains(&(member as usize))
+            })
+        };
         let known = |part: &LightPart| (part.cluster as usize) < clusters.max(1);
         ascending
             && whole
             && (clusters == 0 || tables > 0)
             && self.cdf.len() == self.members.len()
-            && self.members.iter().all(|&member| (member as usize) < self.parts.len())
+            && self.members.iter().all(is_of_its_triangle)
             && self.parts.first().is_some_and(|none| none.pdf_area == 0.0)
             && self.parts.iter().all(known)
             && (0..).zip(&self.cuts).all(placed)
